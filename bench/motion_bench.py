@@ -22,14 +22,14 @@ from bench import motion_bows
 from bench.motion_jobs import arc_wire, block, box, s_curve, spiral_pair, two_arms
 from planner.catalogue.robots import robot
 from planner.cell import plant
-from planner.cell.kinematics import forward
+from planner.cell.kinematics import flange_poses, forward
 from planner.geometry.arrays import from_parts
 from planner.motion import planning_scene
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Search
 from planner.motion.solve import solve
 from planner.problem import Obstacle, Problem, Settings
-from tests.urdf_text import UR10E
+from tests.urdf_text import PANDA_FORM, UR10E
 
 REPEATS = 5
 CORE = ("ladder", "transit", "trajopt", "timing")
@@ -56,6 +56,7 @@ def run() -> list[dict[str, Any]]:
         inverse(),
         inverse_three_parallel(),
         inverse_offset_wrist(),
+        inverse_seven_axes(),
         *jobs(),
         one_arm(),
         many_targets(),
@@ -103,6 +104,16 @@ def inverse_offset_wrist() -> dict[str, Any]:
     count = int(np.sum(~np.isnan(found[..., 0])))
     note = f"{1000 / row['median_s']:,.0f} poses/s, {count:,} solutions"
     return {"name": "IK, up to 16 solutions, 1,000 poses, GoFa", **row, "note": note}
+
+
+def inverse_seven_axes() -> dict[str, Any]:
+    """All eight branches of 10,000 poses of a Panda, each with an angle of its last joint; EAIK and ssik find
+    as many (`tests/motion/test_seven_axes.py`)."""
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (10_000, 7))
+    flange = flange_poses(PANDA_FORM, q)
+    row, _ = timed(lambda: planning_scene.inverse_kinematics(PANDA_FORM, flange, last=q[:, 6]))
+    note = f"{10_000 / row['median_s']:,.0f} poses/s"
+    return {"name": "IK, 8 branches, 10,000 poses, Panda", **row, "note": note}
 
 
 def jobs() -> list[dict[str, Any]]:

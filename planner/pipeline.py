@@ -383,7 +383,7 @@ def _unseen(cell: Cell) -> Iterator[Issue]:
         what = f"of {len(unseen)} links of {arm.robot} the bodies for collision are shown, for what the URDF "
         what += f"has to be seen cannot be read: {', '.join(unseen[:7])}{more}"
         field = f"cell.arms.{number}.robot.urdf"
-        hint = "lay them beside the URDF or state them under visuals; DAE has to be converted. Nothing but "
+        hint = "lay them beside the URDF or state them under visuals. Nothing but "
         yield Issue("robot.unseen", what, Severity.NOTE, field=field, hint=f"{hint}pictures depends on it")
 
 

@@ -146,8 +146,8 @@ class Plan:
         ends = np.cumsum(lengths)
         operation = np.minimum(np.searchsorted(ends, time, side="left"), max(len(lengths) - 1, 0))
         target = np.zeros(len(time), dtype=np.int64)
-        names = dict.fromkeys(arm for own in self.operations for arm in own.q)
-        q = {arm: np.full((len(time), 6), np.nan) for arm in names}
+        joints = {arm: path.shape[1] for own in self.operations for arm, path in own.q.items()}
+        q = {arm: np.full((len(time), count), np.nan) for arm, count in joints.items()}
         for number, own in enumerate(self.operations):
             here = operation == number
             clock = time[here] - (ends[number] - lengths[number]) + own.time[0]

@@ -98,9 +98,7 @@ PLATE: Final = "turntable"
 FOLLOWING_WRITTEN: Final = ("ABB",)
 """Families of arms in whose language tracks are written that go along while the arm works,"""
 AXES_WRITTEN: Final = ("ABB", "KUKA")
-"""tracks and turntables that stand then,"""
-TILTS_WRITTEN: Final = ("ABB",)
-"""and positioners."""
+"""and tracks, turntables and positioners that stand then."""
 
 
 @dataclasses.dataclass(frozen=True)

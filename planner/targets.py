@@ -107,7 +107,24 @@ class TableFreedom:
         return out
 
 
-Freedom = ScrewFreedom | TableFreedom
+@dataclasses.dataclass(frozen=True)
+class JointFreedom:
+    """The last joint of an ``arm`` that has one more than a pose asks for, as a freedom: its value [rad],
+    within ``lower`` and ``upper`` (N,), moves no tool. Motion adds it, which knows arms; no process has it.
+
+    ``alone``: nothing else turns at these targets, so it is sampled as densely as what turns tools is.
+    """
+
+    name: str
+    arm: str
+    lower: FloatArray
+    upper: FloatArray
+    alone: bool = False
+    prefer: FloatArray | None = None
+    weight: float = PREFERENCE_COST
+
+
+Freedom = ScrewFreedom | TableFreedom | JointFreedom
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,6 +135,8 @@ class Action:
     signal ``signal``, ``wait`` waits ``seconds``, ``input`` waits until the input ``signal`` is 1, for
     ``seconds`` at most, behind which the program breaks off. ``powers``: the signal powers something, which
     the controller switches off where a program breaks off; a pulse that asks for one step does not.
+    ``stands``: of what is switched on and must not stay in one place, how long [s] the tool may be there; 0
+    for what may.
     """
 
     at: int
@@ -126,6 +145,7 @@ class Action:
     signal: str = ""
     seconds: float = 0.0
     powers: bool = True
+    stands: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -247,6 +267,14 @@ class Targets:
         while first > 0 and self.segment[first - 1] == own:
             first -= 1
         return f"{own}/{index - first + 1}"
+
+    def last(self, arm: str, values: FloatArray) -> FloatArray | None:
+        """The angle (...,) [rad] of an arm's last joint at freedom values (..., F); None where it is none of
+        the freedoms."""
+        for j, freedom in enumerate(self.freedoms):
+            if isinstance(freedom, JointFreedom) and freedom.arm == arm:
+                return np.asarray(values[..., j])
+        return None
 
     def neutral(self) -> FloatArray:
         """Values (N, F) of the freedoms nearest to zero within their bounds, or the preferred ones."""

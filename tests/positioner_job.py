@@ -72,10 +72,13 @@ def problem(
     obstacles: Any = (CRADLE, POSTS),
     stock: dict[str, Any] = STOCK,
     arms: Any = (table_job.ARM,),
+    controller: dict[str, str] | None = None,
     **changes: Any,
 ) -> planner.Problem:
     """Poses over the block's near end in operation ``a`` and below its far end in ``b``."""
     cell: dict[str, Any] = {"name": "positioner", "arms": list(arms), "obstacles": list(obstacles)}
+    if controller:
+        cell["controller"] = controller
     if positioner is not None:
         cell["positioner"] = positioner
     for name, up in (("a", False), ("b", True)):
@@ -98,6 +101,26 @@ FOLDER = tempfile.TemporaryDirectory()
 def planned() -> Outcome:
     """The job, planned and proven."""
     return planner.plan(problem(Path(FOLDER.name)))
+
+
+KRL_TILT: dict[str, Any] = {**TILT, "external_axis": 2, "axis": [0, -1, 0], "range_deg": [-70, 20]}
+KRL_POSITIONER: dict[str, Any] = {**POSITIONER, "external_axis": 1, "tilt": KRL_TILT}
+"""The same positioner, whose turn is E1 and whose tilt, of the other sense, is E2."""
+KUKA: dict[str, Any] = {
+    **table_job.ARM,
+    "robot": "kr6_r900",
+    "base": {"xyz_mm": [0, 0, 200], "rpy_deg": [0, 0, 10]},
+}
+"""A KUKA arm that stands askew to it."""
+
+
+@functools.cache
+def planned_krl(robot: str = "kr6_r900", **controller: str) -> Outcome:
+    """The job for the KUKA arm, planned and proven; ``controller`` of its cell."""
+    folder = Path(FOLDER.name) / "-".join(["krl", *controller.values()])
+    folder.mkdir()
+    arms = ({**KUKA, "robot": robot},)
+    return planner.plan(problem(folder, KRL_POSITIONER, arms=arms, controller=controller))
 
 
 def model() -> plant.CellModel:

@@ -380,6 +380,7 @@ def test_every_section_of_the_reference_can_be_said() -> None:
         "PlaceFile",
         "PowerOutputFile",
         "DevicePlaceFile",
+        "EngravedFile",
         "SignalsFile",
         "SignalWireFile",
         "WireEndFile",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -22,8 +23,9 @@ PROBLEMS = Path(__file__).parent.parent / "problems"
 
 
 @pytest.mark.long
-def test_three_faces_are_milled_from_stations_of_both_axes_and_proven() -> None:
-    outcome = plan(planner.load(PROBLEMS / "tilted_faces" / "problem.yaml"))
+@pytest.mark.parametrize("name", ["problem", "kuka"])
+def test_three_faces_are_milled_from_stations_of_both_axes_and_proven(name: str) -> None:
+    outcome = plan(planner.load(PROBLEMS / "tilted_faces" / f"{name}.yaml"))
     assert outcome.verified
     turns = [outcome.plan.stations[i]["stock"] for i in range(3)]
     tilts = [outcome.plan.stations[i]["stock/tilt"] for i in range(3)]
@@ -40,15 +42,21 @@ def test_without_a_positioner_the_one_that_helps_is_named(tmp_path: Path) -> Non
     assert "positioner: {centre_mm: [920, 10, 500], range_deg: [-180, 180], tilt: {" in issue.hint
 
 
-def test_no_positioner_is_advised_for_an_arm_that_takes_none(tmp_path: Path) -> None:
-    """Poses over and under a block, of which no turn alone brings all in reach of a KUKA arm."""
+def test_a_positioner_is_advised_for_a_kuka_arm_and_none_for_one_that_takes_none(tmp_path: Path) -> None:
+    """Poses over and under a block, of which no turn alone brings all in reach."""
     arm = {**table_job.ARM, "robot": "kr6_r900"}
     stand = {"kind": "box", "size_mm": [150, 150, 500], "pose": {"xyz_mm": [900, 0, 250]}}
     made = positioner_job.problem(
         tmp_path, None, obstacles=[{"name": "stand", "shapes": [stand]}], arms=(arm,)
     )
     targets = [job.targets() for job in processes.jobs(made)]
-    assert "positioner" not in stations.advice(made, targets)
+    advised = stations.advice(made, targets)
+    assert "positioner: {centre_mm: [920, 10, 500], range_deg: [-180, 180], tilt: {" in advised
+    cobot = dataclasses.replace(
+        made.cell.arms[0], given=dataclasses.replace(made.cell.arms[0].data, family="UR")
+    )
+    other = dataclasses.replace(made, cell=dataclasses.replace(made.cell, arms=(cobot,)))
+    assert not stations.advice(other, targets)
 
 
 def test_report_and_files_show_the_block_as_it_is_tilted(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.catalogue.robots import ParallelParameters, RobotData, robot
+from planner.catalogue.robots import ParallelParameters, RobotData, SevenParameters, robot
 from planner.cell.kinematics import joint_axes, link_frames
 from planner.geometry.arrays import exp_rotation, from_parts, from_rpy, inverse, to_rpy
 from planner.reading.robot_file import OwnRobotFile, robot_of
@@ -69,13 +69,13 @@ def of_robot(robot: RobotData, base=None, tip=None, turns=None, bodies=None):
     """The text of a robot of the catalogue, with the links of base and tip at ``base`` (4, 4) in its base and
     at ``tip`` (4, 4) in its flange."""
     base, tip = (np.eye(4) if pose is None else pose for pose in (base, tip))
-    frames = link_frames(robot, np.zeros(6))
+    frames = link_frames(robot, np.zeros(robot.axes))
     axes = joint_axes(robot, frames)
     back = inverse(base)
-    points = frames[:6, :3, 3] @ back[:3, :3].T + back[:3, 3]
+    points = frames[:-1, :3, 3] @ back[:3, :3].T + back[:3, 3]
     limits = [[float(a), float(b)] for a, b in zip(robot.lower, robot.upper, strict=True)]
     velocity = [float(v) for v in robot.velocity]
-    return arm(axes @ back[:3, :3].T, points, back @ frames[6] @ tip, limits, velocity, bodies, turns)
+    return arm(axes @ back[:3, :3].T, points, back @ frames[-1] @ tip, limits, velocity, bodies, turns)
 
 
 UR10E_DH = (
@@ -155,3 +155,65 @@ def ur10e(base=None, tip=None, limits=((-2.0 * np.pi, 2.0 * np.pi),) * 6):
     turn = from_parts(back[:3, :3], np.zeros(3))
     bodies |= {i: [(kind, size, turn @ pose) for kind, size, pose in UR10E_BODIES[i]] for i in range(1, 7)}
     return arm(axes @ back[:3, :3].T, points, flange, limits, UR10E_SPEED.tolist(), bodies)
+
+
+PANDA_LIMITS = [
+    [-2.8973, 2.8973],
+    [-1.7628, 1.7628],
+    [-2.8973, 2.8973],
+    [-3.0718, -0.0698],
+    [-2.8973, 2.8973],
+    [-0.0175, 3.7525],
+    [-2.8973, 2.8973],
+]
+PANDA_SPEED = [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]
+"""Limits [rad], speeds [rad/s] and, below, lengths [m] of a Panda: Franka Emika, "Franka Control Interface
+documentation", robot and interface specifications."""
+PANDA_FORM = SevenParameters(
+    0.0825, -0.0825, -0.088, 0.333, 0.316, 0.384, 0.107,
+    offsets=np.deg2rad([0.0, 0.0, 0.0, 0.0, 0.0, -180.0, -180.0]),
+    signs=np.array([1.0, 1.0, 1.0, -1.0, 1.0, -1.0, 1.0]),
+)  # fmt: skip
+IIWA_LIMITS = [[-a, a] for a in np.deg2rad([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0]).tolist()]
+IIWA_SPEED = np.deg2rad([85.0, 85.0, 100.0, 75.0, 130.0, 135.0, 135.0]).tolist()
+"""The same of an LBR iiwa 14 R820: KUKA, its data sheet."""
+
+
+def _up(length, z):
+    """A capsule along z, its middle at ``z`` [m]."""
+    return ("capsule", (0.055, length), from_parts(np.eye(3), np.array([0.0, 0.0, z])))
+
+
+FOOT = ("cylinder", (0.09, 0.12), from_parts(np.eye(3), np.array([0.0, 0.0, 0.06])))
+BALL, WRIST = ("sphere", (0.065,), np.eye(4)), ("sphere", (0.05,), np.eye(4))
+PANDA_BODIES = (FOOT, _up(0.08, -0.08), BALL, _up(0.12, -0.13), BALL, _up(0.14, -0.16), WRIST)
+IIWA_BODIES = (FOOT, _up(0.04, 0.1), BALL, _up(0.1, 0.1), BALL, _up(0.06, 0.08), WRIST)
+"""Plain bodies by eye, in links whose frames are parallel to the base at zero; one more is the hand."""
+
+
+def panda(base=None, tip=None, limits=PANDA_LIMITS):
+    """The text of a Panda, with plain bodies by eye; ``base``, ``tip`` as of :func:`of_robot`."""
+    axes = [(0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, -1, 0), (0, 0, -1)]
+    points = [(0, 0, 0.333), (0, 0, 0.333), (0, 0, 0.649), (0.0825, 0, 0.649)]
+    points += [(0, 0, 1.033), (0, 0, 1.033), (0.088, 0, 1.033)]
+    flange = from_parts(np.diag([1.0, -1.0, -1.0]), np.array([0.088, 0.0, 0.926]))
+    hand = ("cylinder", (0.045, 0.04), from_parts(np.eye(3), np.array([0.0, 0.0, -0.085])))
+    return _seven(axes, points, flange, limits, PANDA_SPEED, (*PANDA_BODIES, hand), base, tip)
+
+
+def iiwa(base=None, tip=None, limits=IIWA_LIMITS):
+    """The text of an iiwa, as :func:`panda`."""
+    axes = [(0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1)]
+    points = [(0, 0, z) for z in (0.15, 0.36, 0.5, 0.78, 0.98, 1.18, 1.25)]
+    flange = from_parts(np.eye(3), np.array([0.0, 0.0, 1.306]))
+    hand = ("cylinder", (0.045, 0.04), from_parts(np.eye(3), np.array([0.0, 0.0, 0.034])))
+    return _seven(axes, points, flange, limits, IIWA_SPEED, (*IIWA_BODIES, hand), base, tip)
+
+
+def _seven(axes, points, flange, limits, speed, bodies, base, tip):
+    base, tip = (np.eye(4) if pose is None else pose for pose in (base, tip))
+    back = inverse(base)
+    turn = from_parts(back[:3, :3], np.zeros(3))
+    points = np.array(points) @ back[:3, :3].T + back[:3, 3]
+    links = {i: [(k, size, (turn if i else back) @ pose)] for i, (k, size, pose) in enumerate(bodies)}
+    return arm(np.array(axes) @ back[:3, :3].T, points, back @ flange @ tip, limits, speed, links)

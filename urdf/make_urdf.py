@@ -24,6 +24,7 @@ from planner.geometry.arrays import from_rpy, to_rpy
 COLOURS = {
     "ABB": {"paint": (0.93, 0.40, 0.10), "dark": (0.23, 0.24, 0.26), "metal": (0.62, 0.63, 0.65)},
     "KUKA": {"paint": (0.96, 0.42, 0.02), "dark": (0.08, 0.08, 0.09), "metal": (0.62, 0.63, 0.65)},
+    "generic": {"paint": (0.85, 0.86, 0.86), "dark": (0.23, 0.24, 0.26), "metal": (0.62, 0.63, 0.65)},
 }
 
 

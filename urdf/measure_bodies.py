@@ -1,10 +1,11 @@
 """Fits plain solids round the collision meshes of makers' URDFs: python urdf/measure_bodies.py NAME=URDF ...
 
-What it prints is for bodies.yaml. Each link becomes up to six boxes and cylinders along the axes of its
-upright frame (that of the OPW angles, all zero) which hold every point of its meshes and are up to two
-millimetres larger: a piece is cut in two, square to an axis or with a round end, where that saves most. A
-balancer, which follows joint 2, is held by link 1 wherever it may be. Where axes of the URDF are off those of
-the catalogue, the solids of that link are larger by as much. The meshes themselves are not part of Tandem.
+``NAME=URDF#TIP`` where tools are on another link than tool0. What it prints is for bodies.yaml. Each link
+becomes up to six boxes and cylinders along the axes of its upright frame (that of the form's angles, all
+zero) which hold every point of its meshes and are up to two millimetres larger: a piece is cut in two, square
+to an axis or with a round end, where that saves most. A balancer, which follows joint 2, is held by link 1
+wherever it may be. Where axes of the URDF are off those of the catalogue, the solids of that link are larger
+by as much. The meshes themselves are not part of Tandem.
 """
 
 from __future__ import annotations
@@ -182,10 +183,10 @@ def _middle(points: FloatArray) -> FloatArray:
     return centre
 
 
-def links(path: Path) -> list[FloatArray]:
+def links(path: Path, tip: str = "tool0") -> list[FloatArray]:
     """Triangles (F, 3, 3) [mm] of the base and of links 1 to 6 of a URDF's arm, in their upright frames;
     link 1 has its balancers, at each angle of joint 2."""
-    chain = read_chain(read_urdf(path), "base_link", "tool0")
+    chain = read_chain(read_urdf(path), "base_link", tip)
     spec = _spec(path, chain)
     frames = link_frames(robot_of(spec, path.parent), np.zeros(6))
     upright = np.concatenate([np.eye(4)[None], frames[:6]])
@@ -200,16 +201,23 @@ def links(path: Path) -> list[FloatArray]:
     return [np.concatenate(triangles) for triangles in out]
 
 
-def off_catalogue(name: str, path: Path) -> FloatArray:
+def off_catalogue(name: str, path: Path, tip: str = "tool0") -> FloatArray:
     """How much longer or shorter (7,) [mm] the base and links of a URDF are than those of the arm that is
     built in; link 3 and link 4 together are the forearm."""
-    here = robot_of(_spec(path, read_chain(read_urdf(path), "base_link", "tool0")), path.parent).form
+    here = robot_of(_spec(path, read_chain(read_urdf(path), "base_link", tip)), path.parent).form
     off = np.linalg.norm(here.steps - robots.robot(name).form.steps, axis=1) / MM
     return np.asarray(off[[0, 1, 2, 3, 3, 5, 6]])
 
 
 def _spec(path: Path, chain: UrdfChain) -> OwnRobotFile:
-    return OwnRobotFile(urdf=path.name, name="arm", family="abb", payload_kg=1.0, left_out=chain.beside)
+    return OwnRobotFile(
+        urdf=path.name,
+        name="arm",
+        tip=chain.tip_link,
+        family="generic",
+        payload_kg=1.0,
+        left_out=chain.beside,
+    )
 
 
 def _triangles(
@@ -219,8 +227,9 @@ def _triangles(
     there = mesh_file(file, spec.meshes, path, path.parent)
     if there is None:
         sys.exit(f"{path}: the mesh {file} is not there")
-    mesh = read_mesh(there, 1.0)
-    return np.asarray(transform(pose, mesh.vertices * np.array(scale))[mesh.faces] / MM)
+    most = max(abs(v) for v in scale)
+    mesh = read_mesh(there, 1.0, most)
+    return np.asarray(transform(pose, mesh.vertices * (np.array(scale) / most))[mesh.faces] / MM)
 
 
 def _balancers(chain: UrdfChain, spec: OwnRobotFile, path: Path, pose: FloatArray) -> list[FloatArray]:
@@ -273,11 +282,12 @@ def main() -> None:
     """Prints the rows of the arms."""
     for word in sys.argv[1:]:
         name, _, file = word.partition("=")
-        path = Path(file)
+        file, _, tip = file.partition("#")
+        path, tip = Path(file), tip or "tool0"
         known = name in robots.robot_names()
-        more = np.ceil(off_catalogue(name, path) - 1e-3) if known else np.zeros(len(LINKS))
+        more = np.ceil(off_catalogue(name, path, tip) - 1e-3) if known else np.zeros(len(LINKS))
         print(f"{name}:")  # noqa: T201
-        for index, (link, triangles) in enumerate(zip(LINKS, links(path), strict=True)):
+        for index, (link, triangles) in enumerate(zip(LINKS, links(path, tip), strict=True)):
             rows = []
             for kind, size, centre in solids(triangles, SAVES[index], wrist=index == 4):
                 size = _grown(kind, size, float(more[index]))

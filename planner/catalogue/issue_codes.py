@@ -656,7 +656,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "scan.marks": Code("marks agree too little to say where a scan lies as well as a part is measured"),
     "scan.stray": Code("how many points of a scan belong to nothing around them"),
-    "scan.hole": Code("a place of a part that its scan does not show"),
+    "scan.hole": Code("a place of a part that its scan does not show", given=True),
     # the base of the second robot, from points that both probed
     "align.file": Code(
         "a file of probed points cannot be read, or a value in it is missing or out of range", given=True

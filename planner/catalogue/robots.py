@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
 
@@ -28,12 +30,12 @@ _PACKAGE: Final = Path(__file__).resolve().parents[1]
 
 
 class ArmForm:
-    """What the closed forms of arms with six axes have in common: where each axis is, and what stands before
-    and behind. ``offsets`` (6,) [rad] and ``signs`` (6,): theta_i = signs_i * q_i - offsets_i.
+    """What the closed forms of arms have in common: where each of their J axes is, and what stands before and
+    behind. ``offsets`` (J,) [rad] and ``signs`` (J,): theta_i = signs_i * q_i - offsets_i.
 
     An arm from a file whose links of base and tip stand otherwise than those of the form has that between
     ``left`` and ``right`` (4, 4), None where they are the form's own. ``axes``: the axes x, y or z of their
-    links about which theta_1 to theta_6 turn. ``singular``: joints, from 0, that make postures singular.
+    links about which theta_1 to theta_J turn. ``singular``: joints, from 0, that make postures singular.
     ``b`` [m]: how far the wrist stands beside the plane of axis 1. ``branches``: numbers of solutions.
     """
 
@@ -53,13 +55,18 @@ class ArmForm:
         return flange if self.right is None else flange @ inverse(self.right)
 
     @property
+    def count(self) -> int:
+        """Number J of its axes."""
+        return len(self.axes)
+
+    @property
     def steps(self) -> FloatArray:
-        """Ways (7, 3) [m] from each link to the next one at theta zero, from the base to the flange."""
+        """Ways (J + 1, 3) [m] from each link to the next one at theta zero, from the base to the flange."""
         raise NotImplementedError
 
     @property
     def turned(self) -> FloatArray:
-        """How (3, 3) the flange stands on link 6."""
+        """How (3, 3) the flange stands on the last link."""
         return np.eye(3)
 
     @property
@@ -245,6 +252,78 @@ class ParallelParameters(ArmForm):
 
 
 @dataclasses.dataclass(frozen=True)
+class SevenParameters(ArmForm):
+    """Geometry of an arm with seven axes, each square to the one before: 1, 2 and 3 meet in its shoulder, 5
+    and 6 meet, and 7 passes beside that point or through it, as those of Franka's Panda and KUKA's iiwa.
+
+    Lengths [m]; ``a2`` and ``a3``: how far the elbow stands before the upper arm, and the forearm before the
+    elbow; ``a4``: axis 7 before axis 6. Flange pose in the base: Rz(t1) T(0, 0, c1) Ry(t2) Rz(t3) T(a2, 0,
+    c2) Ry(t4) T(a3, 0, c3) Rz(t5) Ry(t6) T(a4, 0, 0) Rz(t7) T(0, 0, c4).
+    """
+
+    axes: ClassVar[str] = "zyzyzyz"
+    singular: ClassVar[tuple[int, ...]] = (1, 3, 4)
+    b: ClassVar[float] = 0.0  # type: ignore[misc]
+    a2: float
+    a3: float
+    a4: float
+    c1: float
+    c2: float
+    c3: float
+    c4: float
+    offsets: FloatArray
+    signs: FloatArray
+    left: FloatArray | None = None
+    right: FloatArray | None = None
+
+    @property
+    def steps(self) -> FloatArray:
+        """As :attr:`ArmForm.steps`; axes 2 and 3 meet, and 5 and 6."""
+        return np.array(
+            [
+                (0.0, 0.0, 0.0),
+                (0.0, 0.0, self.c1),
+                (0.0, 0.0, 0.0),
+                (self.a2, 0.0, self.c2),
+                (self.a3, 0.0, self.c3),
+                (0.0, 0.0, 0.0),
+                (self.a4, 0.0, 0.0),
+                (0.0, 0.0, self.c4),
+            ]
+        )
+
+    @property
+    def upper(self) -> float:
+        """From the shoulder to axis 4 [m]."""
+        return float(np.hypot(self.a2, self.c2))
+
+    @property
+    def fore(self) -> float:
+        """From axis 4 to where axes 5 and 6 meet [m]."""
+        return float(np.hypot(self.a3, self.c3))
+
+    @property
+    def straight(self) -> float:
+        """Theta 4 at which the arm is stretched [rad]."""
+        return float(np.arctan2(self.a2, self.c2) - np.arctan2(self.a3, self.c3))
+
+    @property
+    def hand(self) -> float:
+        """From where axes 5 and 6 meet to the flange at most [m]."""
+        return float(np.hypot(self.a4, self.c4)) + self._beyond
+
+    @property
+    def stretched(self) -> float:
+        """From axis 1 to where axes 5 and 6 meet, at most [m]."""
+        return self.upper + self.fore
+
+    @property
+    def shoulder(self) -> float:
+        """0: axes 1 and 2 meet."""
+        return 0.0
+
+
+@dataclasses.dataclass(frozen=True)
 class RodCoupling:
     """A parallel rod: motor 3 turns the upper arm against the base, so the controller's axis 3 is serial q3
     + q2.
@@ -279,9 +358,9 @@ class Look:
 class RobotFile:
     """What a robot of the user's own has of its URDF: its ``text``, and the links ``base`` and ``tip`` in it.
 
-    ``zero`` (8, 4, 4): frames of the base, of the links that the joints turn and of the tip, in the base with
-    all joints at zero; ``axis`` (6, 3): unit vectors of the axes in the base, through the origins of the
-    links. ``shapes``: what is held apart, of the base and of links 1 to 6, in their frames. ``joints``: names
+    ``zero`` (J + 2, 4, 4): frames of the base, of the links that the joints turn and of the tip, in the base
+    with all joints at zero; ``axis`` (J, 3): unit vectors of the axes in the base, through the origins of the
+    links. ``shapes``: what is held apart, of the base and of links 1 to J, in their frames. ``joints``: names
     of the joints. ``looks``: what is seen of the same links in place of ``shapes``, which are seen where
     there are none; no distance knows of them. ``unseen``: what of the URDF's is not seen, and why.
     """
@@ -299,9 +378,10 @@ class RobotFile:
 
 @dataclasses.dataclass(frozen=True)
 class RobotData:
-    """One robot. Joint angles are serial angles (6,) [rad]; velocity [rad/s], acceleration [rad/s^2].
+    """One robot of J axes. Joint angles are serial angles (J,) [rad]; velocity [rad/s], acceleration
+    [rad/s^2].
 
-    ``home`` (6,) [rad] is the posture of cells that state none. ``sources`` say where figures come from,
+    ``home`` (J,) [rad] is the posture of cells that state none. ``sources`` say where figures come from,
     ``assumed`` which ones do not come from a source, and on what ground they were set. ``stiffness`` is None
     where nobody has published any that is certain: then nothing is claimed of how far the arm gives way.
     ``file`` is None for robots of the catalogue, whose URDF is :func:`urdf_path`.
@@ -326,6 +406,11 @@ class RobotData:
     file: RobotFile | None = None
 
     @property
+    def axes(self) -> int:
+        """Number J of its axes."""
+        return self.form.count
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints in its URDF."""
         return JOINTS if self.file is None else self.file.joints
@@ -345,11 +430,11 @@ class RobotData:
         return self.coupling is not None or isinstance(self.form, OffsetParameters)
 
     def to_controller(self, q: FloatArray) -> FloatArray:
-        """The controller's joint values (..., 6) [rad] of serial angles (..., 6)."""
+        """The controller's joint values (..., J) [rad] of serial angles (..., J)."""
         return self._couple(q, 1.0)
 
     def from_controller(self, values: FloatArray) -> FloatArray:
-        """Serial angles (..., 6) [rad] of the controller's joint values (..., 6)."""
+        """Serial angles (..., J) [rad] of the controller's joint values (..., J)."""
         return self._couple(values, -1.0)
 
     def _couple(self, q: FloatArray, sign: float) -> FloatArray:
@@ -359,7 +444,7 @@ class RobotData:
         return out
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
-        """Least distance (...,) [rad] of serial angles (..., 6) to any limit; negative outside, NaN for
+        """Least distance (...,) [rad] of serial angles (..., J) to any limit; negative outside, NaN for
         NaN."""
         q = np.asarray(q, dtype=np.float64)
         margin = np.minimum(q - self.lower, self.upper - q).min(axis=-1)
@@ -368,6 +453,12 @@ class RobotData:
             rod = np.minimum(axis3 - self.coupling.axis3_lower, self.coupling.axis3_upper - axis3)
             margin = np.minimum(margin, rod)
         return np.asarray(margin)
+
+
+def columns_of(robots: Mapping[str, RobotData]) -> dict[str, slice]:
+    """Where the joints of each of some robots are among those of all of them, one after the other."""
+    ends = [0, *itertools.accumulate(robot.axes for robot in robots.values())]
+    return {name: slice(ends[k], ends[k + 1]) for k, name in enumerate(robots)}
 
 
 def data_dir(kind: DataKind) -> Path:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -198,7 +198,7 @@ def own_shapes(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
     out = {f"{arm.name}/tool": arm.tool.shapes for arm in cell.arms}
     for arm in cell.arms:
         if arm.given is not None and arm.given.file is not None:
-            named = zip(LINK_CHAIN, arm.given.file.shapes, strict=False)
+            named = zip(link_chain(arm.data.axes), arm.given.file.shapes, strict=False)
             out.update({f"{arm.name}/{link}": shapes for link, shapes in named})
     solids = {arm.name: working_solid(arm.tool) for arm in cell.arms}
     out.update({f"{name}/edge": (solid,) for name, solid in solids.items() if solid is not None})
@@ -244,50 +244,53 @@ def _ours(shape: object, pose: FloatArray) -> Shape:
 
 
 def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> dict[str, FloatArray]:
-    """World poses (B, 4, 4) of the links and the tool of one arm at serial angles q (B, 6); the base's is
+    """World poses (B, 4, 4) of the links and the tool of one arm at serial angles q (B, J); the base's is
     (1, 4, 4), or (B, 4, 4) where it stands elsewhere in each row.
 
     A link's frame is that of the URDF: one of the catalogue is parallel to the base at the controller's zero
     pose; the tool's is the flange.
     """
-    links = link_frames(robot, np.concatenate([q, np.zeros((1, 6))]))
-    upright = np.swapaxes(links[-1, :6, :3, :3], -1, -2)
-    turn = np.zeros((7, 4, 4))
+    count = robot.axes
+    links = link_frames(robot, np.concatenate([q, np.zeros((1, count))]))
+    upright = np.swapaxes(links[-1, :count, :3, :3], -1, -2)
+    turn = np.zeros((count + 1, 4, 4))
     turn[:, 3, 3] = 1.0
-    turn[:6, :3, :3] = upright
-    turn[6] = np.eye(4)
+    turn[:count, :3, :3] = upright
+    turn[count] = np.eye(4)
     if robot.file is not None:
-        turn[:6] = inverse(links[-1, :6]) @ robot.file.zero[1:7]
+        turn[:count] = inverse(links[-1, :count]) @ robot.file.zero[1:-1]
     bases = base.reshape(-1, 4, 4)
     frames = bases[:, None] @ links[:-1] @ turn
-    out = {f"{arm}/link_{i + 1}": frames[:, i] for i in range(6)}
-    out[f"{arm}/tool"] = frames[:, 6]
+    out = {f"{arm}/link_{i + 1}": frames[:, i] for i in range(count)}
+    out[f"{arm}/tool"] = frames[:, count]
     out[f"{arm}/base_link"] = bases
     return out
 
 
 FilteredPair = tuple[str, str, str]
 
-LINK_CHAIN: Final = ("base_link", *(f"link_{i}" for i in range(1, 7)), "tool")
-"""Bodies of an arm from its base to its tool."""
-EDGE_FILTERED: Final = {
-    "tool": "the edge belongs to the tool",
-    "link_6": "the edge is fixed to the flange",
-    "link_5": "kept apart by the robot's own build",
-}
-"""Why an arm's own edge is not held apart from these bodies of the arm."""
-HELD_FILTERED: Final = {
-    "tool": "the block is held by the tool",
-    "link_6": "the block is fixed to the flange",
-    "link_5": "of one arm and always near each other",
-}
-"""Why a block that an arm holds is not held apart from these bodies of the arm."""
+
+@functools.cache
+def link_chain(axes: int) -> tuple[str, ...]:
+    """Bodies of an arm of so many axes from its base to its tool."""
+    return ("base_link", *(f"link_{i}" for i in range(1, axes + 1)), "tool")
+
+
+EDGE_FILTERED: Final = (
+    "the edge belongs to the tool",
+    "the edge is fixed to the flange",
+    "kept apart by the robot's own build",
+)
+"""Why an arm's own edge is not held apart from the last bodies of the arm, the tool first."""
+HELD_FILTERED: Final = (
+    "the block is held by the tool",
+    "the block is fixed to the flange",
+    "of one arm and always near each other",
+)
+"""Why a block that an arm holds is not held apart from the last bodies of the arm, the tool first."""
 
 RIM_POINTS: Final = 32
 """Corners of the polygon that stands for the rim of a cylinder."""
-
-BUILT_APART: Final = frozenset({(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)})
-"""Places in the chain of pairs two joints apart whose solids, fatter than the real links, would touch."""
 
 
 def filter_pairs(
@@ -295,18 +298,29 @@ def filter_pairs(
 ) -> tuple[FilteredPair, ...]:
     """Filters pairs of bodies by how arms are built, in the checker, and returns them with reasons, sorted.
 
-    Those are neighbours and the pairs of BUILT_APART, EDGE and HELD; ``holder`` is the arm that holds the
-    stock, if any.
+    Those are neighbours and pairs two joints apart, whose solids, fatter than the real links, would touch,
+    and those of EDGE_FILTERED and HELD_FILTERED; ``holder`` is the arm that holds the stock, if any.
     """
     shaped = {index for index in names if _has_solids(checker, index)}
+    chains = chains_of(names.values())
     out: list[FilteredPair] = []
     for a in sorted(shaped):
         for b in sorted(shaped):
-            if a < b and (reason := _structural(names[a], names[b], holder)):
+            if a < b and (reason := _structural(names[a], names[b], holder, chains)):
                 out.append((names[a], names[b], reason))
                 if "fixed to the world" not in reason:
                     checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
     return tuple(sorted(out))
+
+
+def chains_of(names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """The bodies of each arm from its base to its tool, by the names of all bodies of a cell."""
+    out: dict[str, int] = {}
+    for name in names:
+        arm, _, link = name.partition("/")
+        if link.startswith("link_"):
+            out[arm] = max(out.get(arm, 0), int(link.removeprefix("link_")))
+    return {arm: link_chain(axes) for arm, axes in out.items()}
 
 
 def _has_solids(checker: Any, index: int) -> bool:
@@ -320,18 +334,22 @@ def fixed(name: str, holder: str | None) -> bool:
     return "/" not in name or name.endswith("/base_link")
 
 
-def _structural(a: str, b: str, holder: str | None) -> str | None:
+def _structural(a: str, b: str, holder: str | None, chains: Mapping[str, tuple[str, ...]]) -> str | None:
     if fixed(a, holder) and fixed(b, holder):
         return "both fixed to the world"
     (arm_a, _, link_a), (arm_b, _, link_b) = a.partition("/"), b.partition("/")
     if holder is not None and "stock" in (a, b):
         arm, link = (arm_a, link_a) if b == "stock" else (arm_b, link_b)
-        return HELD_FILTERED.get(link) if arm == holder else None
+        return _from_tool(HELD_FILTERED, chains[arm], link) if arm == holder else None
     if not link_a or not link_b or arm_a != arm_b:
         return None
     if "edge" in (link_a, link_b):
-        return EDGE_FILTERED.get(link_a if link_b == "edge" else link_b)
-    pair = (LINK_CHAIN.index(link_a), LINK_CHAIN.index(link_b))
-    if pair in BUILT_APART:
+        return _from_tool(EDGE_FILTERED, chains[arm_a], link_a if link_b == "edge" else link_b)
+    gap = abs(chains[arm_a].index(link_a) - chains[arm_a].index(link_b))
+    if gap == 2:
         return "kept apart by the robot's own build"
-    return "neighbours in the chain" if abs(pair[0] - pair[1]) == 1 else None
+    return "neighbours in the chain" if gap == 1 else None
+
+
+def _from_tool(reasons: tuple[str, ...], chain: tuple[str, ...], link: str) -> str | None:
+    return dict(zip(reversed(chain), reasons, strict=False)).get(link)

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.cell.bodies import Easing, Solid, extent, hull_points, signed_distance
+from planner.cell.bodies import Easing, Solid, chains_of, extent, hull_points, signed_distance
 from planner.cell.bodies import fixed as is_fixed
 from planner.cell.distance import AGREED_M, Cores, between_segments, cores, distances, nearest_to_box
 from planner.geometry.arrays import (
@@ -131,16 +131,20 @@ class Bounds:
         the flange in body poses (1, 4, 4), such as the plate by which it is mounted: the arm's build keeps
         these apart as it does the flange itself, mostly by a few millimetres."""
         out: list[SolidPair] = []
+        chains = chains_of(solid.body for solid in self.given)
         for k, solid in enumerate(self.given):
             arm, _, link = solid.body.partition("/")
-            flange = [one for one in self.given if one.body == f"{arm}/link_6"]
-            if link != "tool" or not flange:
+            if link != "tool" or arm not in chains:
+                continue
+            *_, before, _, last, _ = chains[arm]
+            flange = [one for one in self.given if one.body == f"{arm}/{last}"]
+            if not flange:
                 continue
             points = transform(poses[solid.body][0] @ solid.shape.pose, hull_points(solid))
             each = [(one, inverse(poses[one.body][0] @ one.shape.pose)) for one in flange]
             off = np.min([signed_distance(one, transform(back, points)) for one, back in each], axis=0)
             if off.max() <= NEAR_DISTANCE:
-                wrist = [i for i, one in enumerate(self.given) if one.body == f"{arm}/link_4"]
+                wrist = [i for i, one in enumerate(self.given) if one.body == f"{arm}/{before}"]
                 out += [(min(i, k), max(i, k)) for i in wrist]
         return tuple(out)
 

@@ -48,19 +48,20 @@ def edge(
 
     The chain runs straight from point to point and has the half thickness ``radius``. Its first end belongs
     to the first arm named in ``q``, its last one to the last; parts within the arc length ``skip_ends`` [m]
-    of an end are not held against that arm's tool and link_6. "no_stock" leaves the stock out. The pair is
+    of an end are not held against that arm's tool and last link. "no_stock" leaves the stock out. The pair is
     ("edge", body).
 
     The distance to a convex solid is a convex function along a straight piece, so the least one between two
     points is found by golden section wherever the ends do not rule it out.
     """
     poses, chains = model.poses(q), _chains(tuple(q), points, skip_ends)
+    flanges = _flanges(model)
     solids = [s for s in model.solids if s.body != "stock" or against == "all"]
     best = np.full(len(points), np.inf)
     who = np.zeros(len(points), dtype=np.intp)
     rough = []
     for k, solid in enumerate(solids):
-        chain = _chain_at(chains, solid)
+        chain = _chain_at(chains, solid, flanges)
         frame = poses[solid.body] @ solid.shape.pose
         local = (chain.points - frame[..., None, :3, 3]) @ frame[..., :3, :3]
         value = _at_points(solid, local, chain, best)
@@ -92,16 +93,17 @@ def edge_free(
     so near, or whose chain is too near already, are not measured.
     """
     poses, chains = model.poses(q), _chains(tuple(q), points, skip_ends)
+    flanges = _flanges(model)
     limit = padding + radius + BOUND_ERROR
     solids = [s for s in model.solids if s.body != "stock" or against == "all"]
-    near = _near_spheres(solids, poses, chains, limit)
+    near = _near_spheres(solids, poses, chains, flanges, limit)
     best = np.full(len(points), np.inf)
     rough = []
     for k, solid in enumerate(solids):
         rows = np.flatnonzero(near[k] & (best - radius >= padding))
         if not len(rows):
             continue
-        chain = _chain_at(chains, solid)
+        chain = _chain_at(chains, solid, flanges)
         frame = np.broadcast_to(poses[solid.body] @ solid.shape.pose, (len(points), 4, 4))
         some = _Chain(chain.points[rows], chain.skip[rows])
         local = (some.points - frame[rows, None, :3, 3]) @ frame[rows, :3, :3]
@@ -123,14 +125,18 @@ def edge_free(
 
 
 def _near_spheres(
-    solids: Sequence[Solid], poses: Mapping[str, FloatArray], chains: Mapping[str, _Chain], limit: float
+    solids: Sequence[Solid],
+    poses: Mapping[str, FloatArray],
+    chains: Mapping[str, _Chain],
+    flanges: Mapping[str, str],
+    limit: float,
 ) -> BoolArray:
     """Whether (S, B) any point of the chain that each solid is held against comes within ``limit`` [m], and
     the chain's longest step, of the sphere around the solid: what :func:`_at_points` measures."""
     rows = len(chains[""].points)
     out = np.zeros((len(solids), rows), dtype=np.bool_)
     for chain in {id(chain): chain for chain in chains.values()}.values():
-        own = [k for k, solid in enumerate(solids) if _chain_at(chains, solid) is chain]
+        own = [k for k, solid in enumerate(solids) if _chain_at(chains, solid, flanges) is chain]
         if not own:
             continue
         centre = np.empty((rows, 3, len(own)))
@@ -171,10 +177,15 @@ def _chains(arms: tuple[str, ...], points: FloatArray, skip_ends: float) -> dict
     return chains
 
 
-def _chain_at(chains: Mapping[str, _Chain], solid: Solid) -> _Chain:
-    """The chain that is held against a solid."""
+def _flanges(model: CellModel) -> dict[str, str]:
+    """The last link of each arm."""
+    return {arm: f"link_{robot.axes}" for arm, robot in model.robots.items()}
+
+
+def _chain_at(chains: Mapping[str, _Chain], solid: Solid, flanges: Mapping[str, str]) -> _Chain:
+    """The chain that is held against a solid; ``flanges``: the last link of each arm."""
     arm, _, link = solid.body.partition("/")
-    return chains.get(arm if link in ("tool", "link_6") else "", chains[""])
+    return chains.get(arm if link in ("tool", flanges.get(arm)) else "", chains[""])
 
 
 def _clip(points: FloatArray, length: float, last: bool) -> _Chain:
@@ -281,8 +292,7 @@ def stay_free(
     rows = model.stack(q)
     far = np.zeros(rows.shape)
     for arm, angle in change.items():
-        first = 6 * model.arms.index(arm)
-        far[:, first : first + 6] = angle
+        far[:, model.columns[arm]] = angle
     out = np.asarray(np.isfinite(rows).all(axis=1))
     bounds, asked = model.bounds.among(ignore), np.flatnonzero(out)
     for part in _parts(len(asked)):
@@ -302,12 +312,13 @@ def solid_levers(model: CellModel) -> FloatArray:
     """How far (S, nq) [m/rad] joints carry any point of each solid of the model's bounds at most, in all
     postures: from the joint's axis along the links, then to the solid's farthest corner; about the last joint
     that moves it, as far as that corner is from its axis."""
-    out = np.zeros((len(model.bounds.given), 6 * len(model.arms)))
+    out = np.zeros((len(model.bounds.given), model.home.size))
     model = model.at_rows(0)
     placed = model.poses({})
-    for i, arm in enumerate(model.arms):
+    for arm, part in model.columns.items():
+        first = part.start
         frames = model.bases[arm] @ link_frames(model.robots[arm], model.cell.arm(arm).home)
-        origin, axes = frames[:6, :3, 3], joint_axes(model.robots[arm], frames)
+        origin, axes = frames[:-1, :3, 3], joint_axes(model.robots[arm], frames)
         links = lengths(np.diff(origin, axis=0))
         links[0] = model.robots[arm].form.shoulder  # height is along the axis
         for k, solid in enumerate(model.bounds.given):
@@ -316,13 +327,13 @@ def solid_levers(model: CellModel) -> FloatArray:
                 points = transform(placed[solid.body][0] @ solid.shape.pose, corners(solid))
                 points -= origin[count - 1]
                 along = np.cumsum(links[: count - 1][::-1])[::-1]
-                out[k, 6 * i : 6 * i + count - 1] = along + lengths(points).max()
-                out[k, 6 * i + count - 1] = lengths(np.cross(axes[count - 1], points)).max()
+                out[k, first : first + count - 1] = along + lengths(points).max()
+                out[k, first + count - 1] = lengths(np.cross(axes[count - 1], points)).max()
     return out
 
 
 def _by_arm(model: CellModel, rows: FloatArray) -> dict[str, FloatArray]:
-    return {arm: rows[:, 6 * i : 6 * i + 6] for i, arm in enumerate(model.arms)}
+    return model.split(rows)
 
 
 def at_least(
@@ -485,15 +496,16 @@ def _slopes(
 ) -> FloatArray:
     """Gradients (M, nq) [m/rad] of distances along lines ``way`` through ``place`` (M, 3) between ``solids``
     (M, 2) of ``bodies``, in rows (M,) of q."""
-    out = np.zeros((len(row), 6 * len(model.arms)))
-    for k, arm in enumerate(model.arms):
+    out = np.zeros((len(row), model.home.size))
+    for arm, part in model.columns.items():
+        axes_count = model.robots[arm].axes
         count = np.array([model.joints_of(arm, body) for body in bodies], dtype=np.intp)[solids]
-        moved = (np.arange(6) < count.reshape(-1, 2, 1)).astype(np.float64)
+        moved = (np.arange(axes_count) < count.reshape(-1, 2, 1)).astype(np.float64)
         base = model.bases[arm].reshape(-1, 1, 4, 4)
-        frames = base @ link_frames(model.robots[arm], q[arm])[:, :6]
+        frames = base @ link_frames(model.robots[arm], q[arm])[:, :-1]
         axes = joint_axes(model.robots[arm], frames)[row]
         speed = np.cross(axes, place[:, None] - frames[row, :, :3, 3])
-        out[:, 6 * k : 6 * k + 6] = (moved[:, 0] - moved[:, 1]) * np.einsum("mkc,mc->mk", speed, way)
+        out[:, part] = (moved[:, 0] - moved[:, 1]) * np.einsum("mkc,mc->mk", speed, way)
     return out
 
 

@@ -35,8 +35,8 @@ def tcp_compliance(
     [m] of the TCP; all along the axes of the world. Symmetric, singular where the Jacobian is."""
     frames = base @ link_frames(robot, q)
     axes = joint_axes(robot, frames)
-    place = (frames[..., 6, :, :] @ tcp)[..., None, :3, 3]
-    columns = np.concatenate([axes, np.cross(axes, place - frames[..., :6, :3, 3])], axis=-1)
+    place = (frames[..., -1, :, :] @ tcp)[..., None, :3, 3]
+    columns = np.concatenate([axes, np.cross(axes, place - frames[..., :-1, :3, 3])], axis=-1)
     by_drive = columns.swapaxes(-1, -2) @ from_drives(robot)
     return np.asarray((by_drive / stiffness.joints) @ by_drive.swapaxes(-1, -2))
 
@@ -47,7 +47,7 @@ def given_way(
     """By how much (..., 6) [rad] the joints stand farther on under ``loads`` than their drives do, at serial
     angles ``q`` (..., 6) [rad] of the loaded arm."""
     frames = link_frames(robot, q)
-    axes, origin = joint_axes(robot, frames), frames[..., :6, :3, 3]
+    axes, origin = joint_axes(robot, frames), frames[..., :-1, :3, 3]
     torque = np.zeros(np.shape(q))
     for load in loads:
         moment = np.cross(load.point[..., None, :] - origin, load.force[..., None, :])
@@ -57,5 +57,5 @@ def given_way(
 
 
 def from_drives(robot: RobotData) -> FloatArray:
-    """Serial angles of the controller's angles, as a matrix (6, 6)."""
-    return np.asarray(robot.from_controller(np.eye(6)).T)
+    """Serial angles of the controller's angles, as a matrix (J, J)."""
+    return np.asarray(robot.from_controller(np.eye(robot.axes)).T)

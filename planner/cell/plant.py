@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import logging
 from collections import OrderedDict
@@ -35,7 +36,6 @@ from planner.catalogue import robots as catalogue
 from planner.catalogue.robots import RobotData, RobotFile
 from planner.cell import support
 from planner.cell.bodies import (
-    LINK_CHAIN,
     NOT_EASED,
     Easing,
     FilteredPair,
@@ -44,6 +44,7 @@ from planner.cell.bodies import (
     collect,
     drake_shape,
     filter_pairs,
+    link_chain,
     own_shapes,
 )
 from planner.cell.bounds import Bounds, SolidPair, prepare
@@ -183,8 +184,8 @@ class CellModel:
     Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram, whose contexts are set to a
     model's placement when that model is asked; a model is therefore not for use by several threads at once.
     What a positioner tilts stands as the cell has it, moved by ``tilted`` (4, 4).
-    q is the concatenation of six serial joint angles [rad] per arm, in the order of ``cell.arms``. Bodies
-    are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_6", "<arm>/tool", "<arm>/edge" (a tool's own
+    q is the concatenation of the serial joint angles [rad] of all arms, in the order of ``cell.arms``. Bodies
+    are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_J", "<arm>/tool", "<arm>/edge" (a tool's own
     edge, if it has one), "stock", "support", "<obstacle>". A held stock moves with its holder;
     ``stock_pose`` is then only remembered. What is said of distances between bodies counts pairs of
     ``easing`` as farther apart than they are; there are none unless :meth:`with_easing` states them.
@@ -210,6 +211,15 @@ class CellModel:
     def arms(self) -> tuple[str, ...]:
         """Names of the arms, in the order of q."""
         return tuple(arm.name for arm in self.cell.arms)
+
+    @functools.cached_property
+    def columns(self) -> dict[str, slice]:
+        """Where each arm's joints are in q."""
+        return catalogue.columns_of(self.robots)
+
+    def split(self, rows: FloatArray) -> dict[str, FloatArray]:
+        """Joints {arm: (B, J)} of configurations (B, nq)."""
+        return {arm: rows[:, part] for arm, part in self.columns.items()}
 
     @property
     def diagram(self) -> Any:
@@ -283,35 +293,37 @@ class CellModel:
         return owner if owner in self.arms else None
 
     def joints_of(self, arm: str, body: str) -> int:
-        """How many joints of an arm move a body, from the base on: 0 for bodies that are not its own, six for
+        """How many joints of an arm move a body, from the base on: 0 for bodies that are not its own, all for
         its tool and what it holds."""
         link = body.partition("/")[2]
         if self.carrier(body) != arm or link == "base_link":
             return 0
-        return int(link.removeprefix("link_")) if link.startswith("link_") else 6
+        return int(link.removeprefix("link_")) if link.startswith("link_") else self.robots[arm].axes
 
     def stack(self, q: Mapping[str, FloatArray]) -> FloatArray:
-        """Configurations (B, nq) from {arm: (B, 6)}; arms that are not named stay at home."""
+        """Configurations (B, nq) from {arm: (B, J)}; arms that are not named stay at home."""
         count = {len(np.atleast_2d(rows)) for rows in q.values()}
         if len(count) > 1 or set(q) - set(self.arms):
             raise ValueError(f"q has arms {sorted(q)} with {sorted(count)} rows; the cell has {self.arms}")
         rows = count.pop() if count else 1
-        columns = [np.broadcast_to(np.atleast_2d(q.get(a.name, a.home)), (rows, 6)) for a in self.cell.arms]
+        columns = [
+            np.broadcast_to(np.atleast_2d(q.get(a.name, a.home)), (rows, len(a.home))) for a in self.cell.arms
+        ]
         return np.concatenate(columns, axis=1)
 
     def tcp(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """TCP poses {arm: (B, 4, 4)} in the world for {arm: (B, 6)}, bases as they stand in each row."""
+        """TCP poses {arm: (B, 4, 4)} in the world for {arm: (B, J)}, bases as they stand in each row."""
         return {
             arm: self.bases[arm] @ forward(self.robots[arm], rows) @ self.cell.arm(arm).tool.tcp
             for arm, rows in q.items()
         }
 
     def jacobians(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Jacobians {arm: (B, 6, 6)} of the TCPs in the world, rows angular [-], then linear [m/rad], of
-        joints {arm: (B, 6)}, by Drake's plant; :meth:`poses` of the same is closed form."""
+        """Jacobians {arm: (B, 6, J)} of the TCPs in the world, rows angular [-], then linear [m/rad], of
+        joints {arm: (B, J)}, by Drake's plant; :meth:`poses` of the same is closed form."""
         world, rows = self.plant.world_frame(), self.stack(q)
         ends = {arm: self._flange(arm) for arm in q}
-        out = {arm: np.empty((len(rows), 6, 6)) for arm in q}
+        out = {arm: np.empty((len(rows), 6, self.robots[arm].axes)) for arm in q}
         checker = self.at_rows(0).checker  # where a base stands changes no Jacobian in the world's axes
         for i, row in enumerate(rows):
             context = checker.UpdatePositions(row)
@@ -323,9 +335,8 @@ class CellModel:
 
     def _flange(self, arm: str) -> tuple[Any, FloatArray, slice]:
         """Drake's frame of an arm's flange, the TCP (3,) [m] in it, and the arm's columns."""
-        flange = self.plant.GetFrameByName("tool0", self.body(f"{arm}/link_6").model_instance())
-        start = 6 * self.arms.index(arm)
-        return flange, self.cell.arm(arm).tool.tcp[:3, 3], slice(start, start + 6)
+        flange = self.plant.GetFrameByName("tool0", self.body(f"{arm}/link_1").model_instance())
+        return flange, self.cell.arm(arm).tool.tcp[:3, 3], self.columns[arm]
 
     def poses(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """World poses of all bodies by name: (B, 4, 4) of moving bodies of named arms, (1, 4, 4) of all
@@ -545,8 +556,7 @@ def _found_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidPa
     lower = np.concatenate([model.robots[arm].lower for arm in model.arms])
     upper = np.concatenate([model.robots[arm].upper for arm in model.arms])
     q = np.random.default_rng(20).uniform(lower, upper, size=(RANDOM_POSTURES, len(lower)))
-    rows = {arm: q[:, 6 * k : 6 * k + 6] for k, arm in enumerate(model.arms)}
-    return flat, whole.without(flat).always_near(model.poses(rows))
+    return flat, whole.without(flat).always_near(model.poses(model.split(q)))
 
 
 def _leave_out_always_near(model: CellModel) -> None:
@@ -592,15 +602,17 @@ def _jointed(plant: MultibodyPlant, name: str, robot: RobotData, file: RobotFile
     """The model of a robot of the user's own: frames of its URDF, links named as those of the catalogue, the
     shapes that are held apart."""
     instance = plant.AddModelInstance(name)
-    bodies = [plant.AddRigidBody(link, instance, SpatialInertia.Zero()) for link in LINK_CHAIN[:7]]
+    bodies = [
+        plant.AddRigidBody(link, instance, SpatialInertia.Zero()) for link in link_chain(robot.axes)[:-1]
+    ]
     steps = inverse(file.zero[:-1]) @ file.zero[1:]
-    for i in range(6):
+    for i in range(robot.axes):
         before = bodies[i].body_frame()
         hinge = plant.AddFrame(FixedOffsetFrame(f"hinge_{i + 1}", before, rigid(steps[i]), instance))
         axis = file.zero[i + 1, :3, :3].T @ file.axis[i]
         low, high = float(robot.lower[i]), float(robot.upper[i])
         plant.AddJoint(RevoluteJoint(f"joint_{i + 1}", hinge, bodies[i + 1].body_frame(), axis, low, high))
-    plant.AddFrame(FixedOffsetFrame("tool0", bodies[6].body_frame(), rigid(steps[6]), instance))
+    plant.AddFrame(FixedOffsetFrame("tool0", bodies[-1].body_frame(), rigid(steps[-1]), instance))
     for body, shapes in zip(bodies, file.shapes, strict=True):
         _add_shapes(plant, body, shapes, ROBOT_COLOUR)
     return instance

@@ -137,8 +137,13 @@ class MillsProgram:
 @dataclasses.dataclass(frozen=True)
 class DrawnCurve:
     """A curve as the problem draws it: ``kind`` is ``polyline``, ``bezier``, ``bspline`` (clamped, uniform,
-    cubic), by points or control points [mm]; or ``dxf``, the one of a ``file``, in its ``unit``, of a
-    ``layer`` or all, at the height ``z_mm`` where that is given."""
+    cubic), by points or control points [mm]; or ``dxf`` or ``rhino``, the one of a ``file``, in its ``unit``
+    (none of a Rhino file that states its own), of a ``layer`` or all, at the height ``z_mm`` where that is
+    given; of a Rhino file the one that is visible and has the ``name`` and ``colour`` that are given.
+
+    With ``layers`` it stands for all such curves of the file, those of one layer after the other (None: of
+    all at once) in the order of the file. Each is run as the first of the pieces that it is joined of is
+    drawn, and one that is closed begins with it."""
 
     kind: str
     points_mm: tuple[Numbers, ...] = ()
@@ -146,14 +151,17 @@ class DrawnCurve:
     unit: str = ""
     layer: str | None = None
     z_mm: float | None = None
+    name: str | None = None
+    colour: str | None = None
+    layers: tuple[str | None, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
 class Engraves:
     """In the milling segments ``name``_c1, ``name``_c2 ... the ``cutter`` on ``arm`` engraves one curve each,
-    all of it and in its direction: projected along z onto the face ``vertices``, ``faces``, which looks up,
-    and ``depth`` [m] below it along its normal, within ``tolerance`` [m] and ``turn`` [rad], no faster than
-    ``feed`` [m/s].
+    all of it and in its direction, one of a file that is closed until it is where it began: projected along z
+    onto the face ``vertices``, ``faces``, which looks up, and ``depth`` [m] below it along its normal, within
+    ``tolerance`` [m] and ``turn`` [rad], no faster than ``feed`` [m/s].
 
     ``axis``: ``normal``, leant forward by ``lead`` and to the left by ``tilt`` [rad]; ``upright``; or
     ``curves``, through the curves ``axis_curves``, one for each.

@@ -17,9 +17,8 @@ class TrimOutline:
     whose ``inside`` drops, or what is outside. ``joints`` pieces of metal, ``width`` [m] across, stay in its
     slot.
 
-    With ``layers`` it stands for all curves of the file that is ``drawn``, each an outline of its own: those
-    of one layer after the other (None: of all at once) in the order of the file, with numbers behind the
-    name."""
+    Where what is ``drawn`` stands for all curves of a file, each is an outline of its own, with numbers
+    behind the name."""
 
     name: str
     drawn: DrawnCurve | None
@@ -28,7 +27,6 @@ class TrimOutline:
     inside: bool
     joints: int
     width: float
-    layers: tuple[str | None, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)

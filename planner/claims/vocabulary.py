@@ -241,12 +241,21 @@ PARTNER_LOST: Final = Sentence("The program of arm {other} does not run any more
 STAYS_ON: Final = Sentence(
     "{signal} is on before the program: set it to low when not running in Installation, I/O."
 )
-"""On the panel of a UR controller whose running wire stays high when a program stops."""
+"""On the panel of a UR controller whose running wire, or the output of a torch, stays high when a program
+stops."""
 
 WAITING: Final = Sentence("Waiting for arm {arm}.")
 TOGETHER: Final = Sentence("Moves with arm {arm} and waits for it where they meet.")
 """On the panel of a KUKA controller while its program waits for the other arm, and moves together with it."""
 
+NO_ARC: Final = Sentence("No {signal} in {seconds:g} s: the program ends. Begin it anew.")
+"""On the panel of a UR controller whose program waited in vain for a torch to burn."""
+ARC_LOST: Final = Sentence(
+    "{signal} is off, no {ok_signal}, or the torch stood: the program ends. Move it out by hand."
+)
+"""On the panel of a UR controller whose torch does not burn any more, or stands."""
+TORCH_STOOD: Final = Sentence("{signal} is off, or the torch stood: the program ends. Move it out by hand.")
+"""The same of a torch that has no input."""
 NO_INPUT: Final = Sentence("No {signal} in {seconds:g} s: the program ends. Reset it.")
 """On the panel of a KUKA controller whose program waited for an input of its process in vain."""
 

@@ -9,7 +9,6 @@ import sys
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
-from urllib.parse import urlsplit
 
 import tyro
 
@@ -79,7 +78,8 @@ def connect(where: str, access: Access) -> Rws | Store:
     from planner.loading.rws import Rws
     from planner.loading.store import Ftp, Share
 
-    scheme = urlsplit(where).scheme.lower()
+    where = where.strip()
+    scheme = where.partition("://")[0].lower() if "://" in where else ""
     trust = Trust(access.ca, access.fingerprint)
     if scheme in ("http", "https"):
         version = access.rws or (1 if scheme == "http" else 2)
@@ -90,6 +90,9 @@ def connect(where: str, access: Access) -> Rws | Store:
         user = access.user or "anonymous"
         login = Login(user, "" if access.user is None else _password(user, where))
         return Ftp(where, login, access.timeout, trust)
+    if scheme not in ("", "file"):
+        what = f"--controller: got {where}, allowed: http://, https://, ftp://, ftps://, or a folder"
+        raise TandemError(Issue("upload.address", what, field="controller"))
     return Share(Path(where.removeprefix("file://")))
 
 

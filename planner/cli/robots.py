@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 out = Console(highlight=False, soft_wrap=True)
 
-Six = tuple[float, float, float, float, float, float]
-
 
 @dataclasses.dataclass(frozen=True)
 class Add:
@@ -58,7 +56,7 @@ class Add:
     """time of every axis from rest to full speed; else assumed"""
     coupled_deg: tuple[float, float] | None = None
     """of a parallel rod: range of axis 2 + axis 3"""
-    home_deg: Six | None = None
+    home_deg: tuple[float, ...] | None = None
     """serial joints at home; else the upper arm upright, the forearm level"""
     left_out: tuple[str, ...] = ()
     """joints beside the chain whose bodies do not count: rods"""
@@ -148,6 +146,8 @@ def _name(text: str) -> str:
 
 def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str, Any]:
     """The lines of the arm, as a problem has them; names of files start at ``folder``."""
+    from planner.reading.dae import DAE_SUFFIX
+
     urdf = Path(os.path.relpath(request.urdf.resolve(), folder.resolve())).as_posix()
     lines: dict[str, Any] = {"urdf": urdf, "name": name, "base": request.base, "tip": chain.tip_link}
     lines |= {"family": request.family, "payload_kg": request.payload_kg}
@@ -158,42 +158,54 @@ def _stated(request: Add, name: str, chain: UrdfChain, folder: Path) -> dict[str
     if request.meshes is not None:
         lines["meshes"] = _meshes(chain.shapes, request.meshes, request.urdf)
         there = {one["name"] for one in lines["meshes"]}
-        seen = _meshes(chain.visuals, request.meshes, request.urdf)
+        seen = _meshes(chain.visuals, request.meshes, request.urdf, (DAE_SUFFIX,))
         lines |= {"visuals": own} if (own := [one for one in seen if one["name"] not in there]) else {}
     if request.source is not None:
         lines["sources"] = {"urdf": request.source}
     return lines
 
 
-def _meshes(shapes: Sequence[UrdfShape], folder: Path, urdf: Path) -> list[dict[str, str]]:
+def _meshes(
+    shapes: Sequence[UrdfShape], folder: Path, urdf: Path, more: tuple[str, ...] = ()
+) -> list[dict[str, str]]:
     """Where meshes of the URDF lie in a folder, each by as much of its path as is there, else by its name;
-    for one that is not read (DAE) what was converted, of the same name but for its ending."""
+    for one that is not read (DAE of a collision), or is not there, what was converted, of the same name but
+    for its ending. ``more``: endings that are read besides."""
     from planner.geometry.mesh_files import PLAIN_SUFFIXES
 
-    there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PLAIN_SUFFIXES]
+    there = [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in (*PLAIN_SUFFIXES, *more)]
+    plain = [path for path in there if path.suffix.lower() in PLAIN_SUFFIXES]
     out = []
     for name in dict.fromkeys(one.file for one in shapes if one.kind == "mesh"):
         wanted = Path(name.partition("://")[2] or name)
-        exact = wanted.suffix.lower() in PLAIN_SUFFIXES
-        steps = wanted.parts if exact else wanted.with_suffix("").parts
-        for count in range(len(steps), 0, -1):
-            found = [p for p in there if (p if exact else p.with_suffix("")).parts[-count:] == steps[-count:]]
-            if len(found) == 1:
-                beside = os.path.relpath(found[0].resolve(), urdf.resolve().parent)
-                out.append({"name": name, "file": Path(beside).as_posix()})
-            if found:
-                break
+        suffix = wanted.suffix.lower()
+        found = _ends(wanted, there) if suffix in (*PLAIN_SUFFIXES, *more) else []
+        if not found and suffix not in PLAIN_SUFFIXES:
+            stems = _ends(wanted.with_suffix(""), [path.with_suffix("") for path in plain])
+            found = [path for path in plain if path.with_suffix("") in stems]
+        if len(found) == 1:
+            beside = os.path.relpath(found[0].resolve(), urdf.resolve().parent)
+            out.append({"name": name, "file": Path(beside).as_posix()})
     return out
+
+
+def _ends(wanted: Path, there: Sequence[Path]) -> list[Path]:
+    """Those of some paths that end as much as any as the one that is wanted."""
+    for count in range(len(wanted.parts), 0, -1):
+        found = [path for path in there if path.parts[-count:] == wanted.parts[-count:]]
+        if found:
+            return found
+    return []
 
 
 def _written(lines: dict[str, Any], robot: RobotData, request: Add) -> str:
     """The lines as YAML, and as comments what was assumed."""
-    from planner.reading.robot_file import FULL_SPEED_AFTER
+    from planner.reading.robot_file import FULL_SPEED_AFTER, home_words
 
     home = ", ".join(f"{v:g}" for v in (robot.home / DEG).round(6) + 0.0)
     usual = {
         "full_speed_after_s": f"{FULL_SPEED_AFTER:g}  # of every axis from rest, as the largest built in",
-        "home_deg": f"[{home}]  # serial joints: the upper arm upright, the forearm level",
+        "home_deg": f"[{home}]  # serial joints: {home_words(robot.form)}",
         "coupled_deg": "null  # of a parallel rod: the range of axis 2 + axis 3",
     }
     body = [f"  {key}: {json.dumps(value, ensure_ascii=False)}" for key, value in lines.items()]
@@ -213,7 +225,8 @@ def _print(robot: RobotData, chain: UrdfChain, off: tuple[float, float]) -> None
     out.print(table)
     figures = vars(robot.form).items()
     lengths = ", ".join(f"{key} {v / MM:.7g}" for key, v in figures if isinstance(v, float))
-    out.print(f"six axes in closed form: {lengths} mm; it reaches {robot.reach / MM:.0f} mm")
+    count = "seven axes, the last one free," if robot.axes == 7 else "six axes"
+    out.print(f"{count} in closed form: {lengths} mm; it reaches {robot.reach / MM:.0f} mm")
     out.print(f"at most {off[0] / MM:.2g} mm and {off[1]:.2g} rad beside the URDF on 1000 postures")
     out.print("without a source, or assumed:")
     for line in robot.assumed:

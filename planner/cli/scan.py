@@ -259,9 +259,10 @@ def _rounds(made: Sequence[Adjusted]) -> dict[str, Any]:
     )
     first = _map(points, before, "How much too shallow the part was, along z")
     next_one = _map(points, foretold, "How much too shallow the next one is foretold to be, along z")
+    limit = max(float(np.abs(one["value"]).max()) for one in (first, next_one))
     return {
-        "before": first,
-        "next": {**next_one, "limit": first["limit"]},
+        "before": {**first, "limit": limit},
+        "next": {**next_one, "limit": limit},
         "deeper": exhibit([one.way for one in made]),
     }
 

@@ -9,7 +9,6 @@ back, go ``depth`` into either panel, and keep ``cover`` of foam to faces, other
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -182,16 +181,15 @@ def _in_joint(
         free = free & (_distance(at, rest).min(axis=1) >= keep)
         free &= (_distance(at, here) >= np.minimum(keep, STEEPEST * depth * DEEP)).all(axis=1)
         for other in holes[body]:
-            apart = np.linalg.norm(at[:, :, None] - other, axis=-1).min(axis=(1, 2))
-            free &= apart >= 2.0 * radius + cover
-    at = _spread(np.flatnonzero(free), along, file.count, 2.0 * radius + cover)
-    if not len(at):
+            free &= lengths(at[:, :, None] - other).min(axis=(1, 2)) >= 2.0 * radius + cover
+    chosen = _spread(np.flatnonzero(free), along, file.count, 2.0 * radius + cover)
+    if not len(chosen):
         return float(lean.min()), "no room"
     fine = np.linspace(0.0, depth, max(2, int(np.ceil(depth / radius)) + 1))[:, None]
-    for k in at.tolist():
+    for k in chosen.tolist():
         holes[stands].append(places[k] + fine * way)
         holes[comes].append(places[k] - fine * way)
-    return [(places[k], way, float(along[k]), float(lean[k])) for k in at.tolist()]
+    return [(places[k], way, float(along[k]), float(lean[k])) for k in chosen.tolist()]
 
 
 def _candidates(slab: Slab, edges: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -241,8 +239,8 @@ def _spread(free: IntArray, along: FloatArray, count: int, apart: float) -> IntA
     own = along[free]
     for wanted in range(min(count, len(free)), 1, -1):
         even = np.linspace(own[0], own[-1], wanted)
-        chosen = np.unique(np.abs(own[:, None] - even).argmin(axis=0))
-        ways = [b - a for a, b in itertools.pairwise(own[chosen].tolist())]
-        if len(chosen) == wanted and min(ways) >= apart:
-            return free[chosen]
-    return free[[np.abs(own - 0.5 * (own[0] + own[-1])).argmin()]]
+        chosen: IntArray = np.unique(np.abs(own[:, None] - even).argmin(axis=0))
+        if len(chosen) == wanted and float(np.diff(own[chosen]).min()) >= apart:
+            return np.asarray(free[chosen])
+    middle = int(np.abs(own - 0.5 * (own[0] + own[-1])).argmin())
+    return np.asarray(free[middle : middle + 1])

@@ -49,6 +49,10 @@ _Y_UP: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _PRODUCTION: Final = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
 _MATERIAL: Final = "http://schemas.microsoft.com/3dmanufacturing/material/2015/02"
 _START_PART: Final = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+_MOST_TRIANGLES: Final = MAX_MESH_BYTES // 8
+"""Facets, or vertices, of a 3MF file at most, those that are placed several times counted each time."""
+_MOST_PLACES: Final = 100_000
+"""Places of components and items of a 3MF file at most, those in one another counted each time."""
 _MOST_NESTED: Final = 32
 """Components of a 3MF file in components at most."""
 _UNREAD_OBJECTS: Final = ("support", "solidsupport", "other")
@@ -232,10 +236,13 @@ def _read_3mf(path: Path) -> tuple[FloatArray, IntArray]:
         for part in {one[0] for one in _placed(objects, items)} - {start}:
             objects |= _model(pack, part)[0]
     vertices, faces = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)]
-    count = 0
+    count = places = triangles = 0
 
     def put(one: Placed, pose: FloatArray, depth: int) -> None:
-        nonlocal count
+        nonlocal count, places, triangles
+        places += 1
+        if places > _MOST_PLACES:  # a few that are placed in one another are more than anybody can count
+            raise ValueError(f"its components are placed over {_MOST_PLACES} times; export it as one mesh")
         if depth > _MOST_NESTED:
             raise ValueError("its components are nested too deep, or in themselves")
         own = objects.get(one[:2])
@@ -247,9 +254,9 @@ def _read_3mf(path: Path) -> tuple[FloatArray, IntArray]:
         vertices.append(own.vertices @ here[:3] + here[3])
         turned = np.linalg.det(here[:3]) < 0.0
         faces.append(count + (own.faces[:, ::-1] if turned else own.faces))
-        count += len(own.vertices)
-        if count > MAX_MESH_BYTES // 8:
-            raise ValueError("its components make too many vertices; export it with fewer facets")
+        count, triangles = count + len(own.vertices), triangles + len(own.faces)
+        if max(count, triangles) > _MOST_TRIANGLES:
+            raise ValueError("its components make too many facets; export it with fewer")
         for other in own.components:
             put(other, here, depth + 1)
 

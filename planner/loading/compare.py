@@ -20,6 +20,8 @@ from planner.verify.programs.steps import SignalStep, WaitStep, poses
 
 BASE_SHIFT, BASE_TURN = 0.1, 0.02
 """How far a base frame may be off [mm], [deg]: what the programs themselves allow when they start."""
+TURN_LENGTH: Final = 0.01
+"""How far a quaternion's length may be off 1 where it is a turn at all."""
 NEEDS: Final = (
     (r"\bSyncMove(?:On|Off|Undo)\b|\bMove\w+\b[^;!]*\\ID:=", ("MultiMove Coordinated",)),
     (r"\bWaitSyncTask\b", ("MultiMove Coordinated", "MultiMove Independent", "Multitasking")),
@@ -145,6 +147,9 @@ def _robots(there: Mapping[str, Mapping[str, str]], context: Context, tasks: Seq
         if wanted is None:
             out.append(f"the program of {task.arm.name} states no base frame")
             continue
+        if not (np.isfinite(place).all() and abs(float(np.linalg.norm(turn)) - 1.0) <= TURN_LENGTH):
+            what = f"the base frame of {name} in MOC is none: position {place} m, quaternion {turn}"
+            raise TandemError(Issue("upload.controller", what))
         shift, angle = _apart(poses(place, turn), wanted)
         if shift > BASE_SHIFT or angle > BASE_TURN:
             what = (

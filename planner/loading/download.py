@@ -8,7 +8,11 @@ from planner.issues import Issue, TandemError
 from planner.loading.store import Store
 
 MOST_FILES = 10_000
-"""Files that are fetched at most: more is no folder of ours."""
+"""Files and folders that are fetched at most: more is no folder of ours."""
+MOST_DEEP = 8
+"""Folders within each other; ours are two."""
+MOST_BYTES = 500_000_000
+"""Bytes of all of them at most."""
 
 
 def folder(store: Store, name: str) -> str:
@@ -32,7 +36,7 @@ def folder(store: Store, name: str) -> str:
 def fetch(store: Store, folder: str) -> dict[str, bytes]:
     """All files under a folder by their names in it. Raises ``TandemError`` (``upload.missing``)."""
     out: dict[str, bytes] = {}
-    todo = [""]
+    todo, count, size = [""], 0, 0
     while todo:
         inner = todo.pop()
         there = store.listing(f"{folder}/{inner}".rstrip("/"))
@@ -41,15 +45,21 @@ def fetch(store: Store, folder: str) -> dict[str, bytes]:
             raise TandemError(Issue("upload.missing", what))
         for name, deeper in there.items():
             path = f"{inner}/{name}".lstrip("/")
-            if PurePosixPath(name).name != name or name in (".", "..") or "\\" in name:
+            odd = PurePosixPath(name).name != name or name in (".", "..") or "\\" in name
+            if odd or not name.isprintable():
                 raise TandemError(Issue("upload.controller", f"{name!r} is no name of a file in a folder"))
-            if len(out) >= MOST_FILES:
-                what = f"{folder}: over {MOST_FILES} files in it; give the one that upload named by --there"
-                raise TandemError(Issue("upload.missing", what))
+            count += 1
             if deeper:
                 todo.append(path)
             elif (content := store.read(f"{folder}/{path}")) is not None:
                 out[path] = content
+                size += len(content)
+            if count > MOST_FILES or size > MOST_BYTES or path.count("/") > MOST_DEEP:
+                what = (
+                    f"{folder}: over {MOST_FILES} files and folders, {MOST_BYTES / 1e6:g} MB or {MOST_DEEP} "
+                )
+                what += "folders within each other are in it; give the one that upload named by --there"
+                raise TandemError(Issue("upload.missing", what))
     if not out:
         raise TandemError(Issue("upload.missing", f"{folder}: no files in it"))
     return out

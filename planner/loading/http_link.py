@@ -14,7 +14,7 @@ import secrets
 import ssl
 from collections.abc import Mapping
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from planner.issues import Issue, TandemError
 
@@ -70,6 +70,21 @@ def _plain(fingerprint: str) -> str:
     return re.sub(r"[\s:]", "", fingerprint.lower().removeprefix("sha256"))
 
 
+def address(url: str) -> SplitResult:
+    """The parts of a URL. Raises ``TandemError`` (``upload.address``) where it is none, or holds a user or a
+    password, which would be in shells' histories and logs."""
+    try:
+        parts = urlsplit(url)
+        _ = parts.port  # asked later: from 0 to 65535
+    except ValueError as error:
+        what = f"got {url}, which is no URL ({error}); allowed: http://HOST[:PORT], ftp://HOST[:PORT]/FOLDER"
+        raise TandemError(Issue("upload.address", what, field="controller")) from error
+    if parts.username or parts.password:
+        what = "a URL must hold no user or password; use --user and TANDEM_CONTROLLER_PASSWORD"
+        raise TandemError(Issue("upload.address", what))
+    return parts
+
+
 @dataclasses.dataclass(frozen=True)
 class Answer:
     """Status and body of an answer."""
@@ -90,10 +105,7 @@ class Link:
     trust: Trust = Trust()
 
     def __post_init__(self) -> None:
-        parts = urlsplit(self.url)
-        if parts.username or parts.password:
-            what = "a URL must hold no user or password; use --user and TANDEM_CONTROLLER_PASSWORD"
-            raise TandemError(Issue("upload.address", what))
+        parts = address(self.url)
         if parts.scheme not in ("http", "https") or not parts.hostname or parts.path not in ("", "/"):
             what = f"got {self.url}, allowed: http://HOST[:PORT] or https://HOST[:PORT]"
             raise TandemError(Issue("upload.address", what, field="controller"))
@@ -136,13 +148,13 @@ class Link:
     def _once(
         self, method: str, path: str, body: bytes | None, headers: Mapping[str, str]
     ) -> tuple[Answer, str]:
-        own = dict(headers)
+        own: dict[str, str | bytes] = dict(headers)
         self._sent = bool(self.basic or self._challenge)
         if self.basic:
             plain = f"{self.login.user}:{self.login.password}".encode()
             own["Authorization"] = "Basic " + base64.b64encode(plain).decode()
         elif self._challenge:
-            own["Authorization"] = self._digest(method, path)
+            own["Authorization"] = self._digest(method, path).encode()
         if self._cookie:
             own["Cookie"] = self._cookie
         try:
@@ -150,6 +162,8 @@ class Link:
             self._connection.request(method, path, body, own)
             response = self._connection.getresponse()
             content = response.read(MOST_BYTES + 1)
+            if len(content) <= MOST_BYTES and response.length:  # a read with a limit does not ask that
+                raise http.client.IncompleteRead(content, response.length)
         except ssl.SSLCertVerificationError as error:
             what = f"the certificate of {self.url} is not trusted ({error.verify_message})"
             hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have compared"
@@ -158,8 +172,17 @@ class Link:
             self._connection.close()
             name = "no answer in time" if isinstance(error, TimeoutError) else type(error).__name__
             what = f"{method} {self.url}{path}: {name} ({error}), waited up to {self.timeout:g} s"
+            if isinstance(error, http.client.IncompleteRead):
+                what = f"{method} {self.url}{path}: the answer broke off behind {len(error.partial)} bytes, "
+                what += f"{error.expected or 'some'} before its end"
             hint = "see that the controller is on and reachable, and try again"
             raise TandemError(Issue("upload.controller", what, hint=hint)) from error
+        except ValueError as error:  # headers that no request may have
+            self._connection.close()
+            what = f"user {self.login.user!r} cannot log in by HTTP ({error})"
+            raise TandemError(
+                Issue("upload.login", what, hint="give --user as the controller has it")
+            ) from error
         if len(content) > MOST_BYTES:
             self._connection.close()
             raise TandemError(Issue("upload.controller", f"{path}: over {MOST_BYTES} bytes came back"))

@@ -64,27 +64,29 @@ class Rws:
     @property
     def options(self) -> tuple[str, ...]:
         """Options that are installed."""
-        return tuple(str(one["option"]) for one in self._items("/rw/system/options") if "option" in one)
+        path = "/rw/system/options"
+        out = tuple(str(one["option"]) for one in self._items(path) if "option" in one)
+        if not out:
+            raise TandemError(
+                Issue("upload.controller", f"{path}: no option is told; each controller has some")
+            )
+        return out
 
     @property
     def tasks(self) -> tuple[str, ...]:
         """RAPID tasks by name."""
-        found = self._items("/rw/rapid/tasks")
-        return tuple(str(one["name"]) for one in found if str(one.get("_type", "")).startswith("rap-task"))
+        return tuple(self._named("/rw/rapid/tasks", "rap-task"))
 
     def modules(self, task: str) -> tuple[str, ...]:
         """Names of the modules that are loaded in a task."""
         one, two = f"/rw/rapid/modules?task={quote(task)}", f"/rw/rapid/tasks/{quote(task)}/modules"
-        found = self._items(one if self.version == 1 else two)
-        modules = (one for one in found if str(one.get("_type", "")).startswith("rap-module-info"))
-        return tuple(str(one["name"]) for one in modules if "name" in one)
+        return tuple(self._named(one if self.version == 1 else two, "rap-module-info"))
 
     @property
     def signals(self) -> dict[str, str]:
         """Types (DO, DI ...) of all signals, by name."""
-        found = self._items("/rw/iosystem/signals")
-        kinds = (one for one in found if str(one.get("_type", "")).startswith("ios-signal"))
-        return {str(one["name"]): str(one.get("type", "")) for one in kinds if "name" in one}
+        found = self._named("/rw/iosystem/signals", "ios-signal")
+        return {name: str(one.get("type", "")) for name, one in found.items()}
 
     @property
     def robots(self) -> dict[str, dict[str, str]]:
@@ -186,13 +188,16 @@ class Rws:
         kind = "application/x-www-form-urlencoded" + ("" if self.version == 1 else ";v=2.0")
         return self.link.ask("POST", path, urlencode(values).encode(), self._headers({"Content-Type": kind}))
 
-    def _read(self, path: str, answer: Answer) -> Any:
+    def _read(self, path: str, answer: Answer) -> dict[str, Any]:
         if answer.status != 200:
             raise self._strange(path, answer)
         try:
-            return json.loads(answer.body)
-        except ValueError as error:
+            data = json.loads(answer.body)
+        except (ValueError, RecursionError) as error:
             raise self._strange(path, answer) from error
+        if not isinstance(data, dict):
+            raise self._strange(path, answer)
+        return data
 
     def _items(self, path: str) -> list[dict[str, Any]]:
         """All objects of a list, page by page."""
@@ -201,18 +206,36 @@ class Rws:
         for _ in range(MOST_PAGES):
             if following is None:
                 return out
-            data = self._read(following, self._get(following))
+            answer = self._get(following)
+            data = self._read(following, answer)
+            if not {"_embedded", "state"} & data.keys():  # no list: what is not in it is not known
+                raise self._strange(following, answer)
             out += _all(data)
-            links = data.get("_links", {}) if isinstance(data, dict) else {}
-            link = links.get("next", {}).get("href")
-            following = None if not link else self._next(str(link), links.get("base", {}).get("href"), path)
+            link, base = (_link(data, name) for name in ("next", "base"))
+            following = None if not link else self._next(link, base, path)
         raise TandemError(Issue("upload.controller", f"{path}: over {MOST_PAGES} pages"))
+
+    def _named(self, path: str, kind: str) -> dict[str, dict[str, Any]]:
+        """Entries of a list that are of a kind, by their names. Raises ``TandemError`` where one has none,
+        and where all are of other kinds: what is not understood is not taken for nothing."""
+        entries = [one for one in self._items(path) if "_type" in one]
+        own = [one for one in entries if str(one["_type"]).startswith(kind)]
+        bad = next((one for one in own if not isinstance(one.get("name"), str)), None)
+        if bad is not None or (entries and not own):
+            what = (
+                f"{path}: a {kind} there has no name" if bad is not None else f"{path}: no {kind} in the list"
+            )
+            raise TandemError(Issue("upload.controller", what))
+        return {one["name"]: one for one in own}
 
     def _next(self, link: str, base: str | None, path: str) -> str:
         """Path of the next page: links are relative to the page's ``base`` where it tells one, and have
         ampersands as in XML. Raises ``TandemError`` where they lead to another machine."""
-        start = urljoin(f"{self.link.url}/", base or f"{path.partition('?')[0].rpartition('/')[0]}/")
-        whole = urlsplit(urljoin(start, html.unescape(link)))
+        try:
+            start = urljoin(f"{self.link.url}/", base or f"{path.partition('?')[0].rpartition('/')[0]}/")
+            whole = urlsplit(urljoin(start, html.unescape(link)))
+        except ValueError as error:
+            raise TandemError(Issue("upload.controller", f"{path}: {link!r} is no next page")) from error
         kept = [(k, v) for k, v in parse_qsl(whole.query) if k != "json"]
         if base is None and whole.netloc != urlsplit(self.link.url).netloc:
             raise TandemError(Issue("upload.controller", f"{path}: the next page is elsewhere ({link})"))
@@ -229,13 +252,30 @@ class Rws:
         what = (
             f"{self.link.url}{path} answers otherwise than RWS {self.version}.0 is described: {_why(answer)}"
         )
-        return TandemError(Issue("upload.controller", what, hint="see that --rws is the controller's"))
+        hint = "see that --rws is the controller's"
+        if answer.status >= 500:
+            what = f"{self.link.url}{path}: the controller cannot answer now: {_why(answer)}"
+            hint = (
+                "try again in a while; it has so many sessions, and those that broke off count until they end"
+            )
+        elif 300 <= answer.status < 400:
+            what = f"{self.link.url}{path}: {_why(answer)} leads elsewhere, where no password is sent"
+            hint = "give the controller's own address; RobotWare 7 is reached by https://"
+        return TandemError(Issue("upload.controller", what, hint=hint))
 
     def _unwritten(self, name: str, answer: Answer) -> TandemError:
         full = answer.status == 507 or b"space" in answer.body.lower() or b"full" in answer.body.lower()
         what = f"{name} is not written: {_why(answer)}" + ("; the controller's disk is full" if full else "")
         hint = "make room on the controller, then send again" if full else "see the rights of the user there"
         return TandemError(Issue("upload.write", what, hint=hint))
+
+
+def _link(data: dict[str, Any], name: str) -> str | None:
+    """Where a link of an answer leads, None where it has none."""
+    links = data.get("_links")
+    link = links.get(name) if isinstance(links, dict) else None
+    href = link.get("href") if isinstance(link, dict) else None
+    return str(href) if href else None
 
 
 def _all(data: Any) -> Iterator[dict[str, Any]]:

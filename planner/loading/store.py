@@ -13,11 +13,11 @@ import socket
 import ssl
 from pathlib import Path
 from typing import Final, Protocol
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 from planner.files import is_disk_full
 from planner.issues import Issue, TandemError
-from planner.loading.http_link import Login, Trust
+from planner.loading.http_link import MOST_BYTES, Login, Trust, address
 
 _UNIX: Final = re.compile(
     r"(?P<folder>[-dl])[rwxsStT-]{9}\S?\s+(?:\S+\s+){4,7}?(?:\d{4}|\d\d?:\d\d)\s(?P<name>.+)"
@@ -109,6 +109,30 @@ def _unread(path: Path, error: OSError) -> TandemError:
     return TandemError(Issue("upload.controller", what, hint="see that the share is mounted, and the rights"))
 
 
+WIRE: Final = "latin-1"
+"""Lines of FTP are bytes: each is a letter of this. Names are UTF-8 (RFC 2640) where they can be; a server of
+another kind, as on Windows, has bytes that are not, in lists and replies."""
+
+
+def _text(line: str) -> str:
+    """What a server said; bytes that are not UTF-8 are kept apart, so that :func:`_wire` gives them back."""
+    return line.encode(WIRE, "replace").decode("utf-8", "surrogateescape")
+
+
+def _told(error: Exception) -> str:
+    """What an error says, of a server or of this machine, to be shown."""
+    return str(error).encode(WIRE, "replace").decode("utf-8", "replace") or type(error).__name__
+
+
+def _wire(text: str) -> str:
+    """Text as it is sent. Raises ``TandemError`` (``upload.address``) for control characters, which would be
+    commands of their own."""
+    if any(ord(letter) < 32 for letter in text):
+        what = "names, users and passwords of FTP have no control characters, such as ends of lines"
+        raise TandemError(Issue("upload.address", what))
+    return text.encode("utf-8", "surrogateescape").decode(WIRE)
+
+
 class _Channel(ftplib.FTP_TLS):
     """FTP over TLS of which every connection, those of data too, shows the certificate that is trusted."""
 
@@ -127,41 +151,40 @@ class Ftp:
     for ``ftps``. Raises ``TandemError`` (``upload.*``)."""
 
     def __init__(self, url: str, login: Login, timeout: float, trust: Trust | None = None) -> None:
-        parts = urlsplit(url)
-        if parts.username or parts.password:
-            what = "a URL must hold no user or password; use --user and TANDEM_CONTROLLER_PASSWORD"
-            raise TandemError(Issue("upload.address", what))
+        parts = address(url)
         if not parts.hostname:
             raise TandemError(Issue("upload.address", f"got {url}, allowed: ftp://HOST[:PORT]/FOLDER"))
         self._url = f"{parts.scheme}://{parts.hostname}"
         link = (
-            self._secure(trust or Trust(), timeout) if parts.scheme == "ftps" else ftplib.FTP(timeout=timeout)
+            self._secure(trust or Trust(), timeout)
+            if parts.scheme == "ftps"
+            else ftplib.FTP(timeout=timeout, encoding=WIRE)
         )
         try:
             link.connect(parts.hostname, parts.port or 21)
             if isinstance(link, _Channel):
                 link.auth()
                 link.trust.check(link.sock, self._url)
-            link.login(login.user, login.password)
+            link.login(_wire(login.user), _wire(login.password))
             if isinstance(link, _Channel):
                 link.prot_p()
-            link.cwd(unquote(parts.path) or "/")
-            self._root = link.pwd().rstrip("/")
+            link.cwd(_wire(unquote(parts.path)) or "/")
+            self._root = _text(link.pwd()).rstrip("/")
         except ftplib.error_perm as error:
-            what = f"{url}: user {login.user!r} or the folder is refused ({str(error)[:60]})"
+            what = f"{url}: user {login.user!r} or the folder is refused ({_told(error)[:60]})"
             raise TandemError(Issue("upload.login", what)) from error
         except ssl.SSLCertVerificationError as error:
             what = f"the certificate of {self._url} is not trusted ({error.verify_message})"
             hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have compared"
             raise TandemError(Issue("upload.login", what, hint=hint)) from error
         except ftplib.all_errors as error:
-            what = f"{url} cannot be reached ({error or type(error).__name__}), waited up to {timeout:g} s"
+            what = f"{url} cannot be reached ({_told(error)}), waited up to {timeout:g} s"
             hint = "see that the server is on and reachable, and try again"
             raise TandemError(Issue("upload.controller", what, hint=hint)) from error
         self._link = link
 
     def _secure(self, trust: Trust, timeout: float) -> _Channel:
-        link = _Channel(timeout=timeout, context=trust.context())
+        link = _Channel(timeout=timeout, context=trust.context(), encoding=WIRE)
         link.trust, link.url = trust, self._url
         return link
 
@@ -170,13 +193,16 @@ class Ftp:
         print it."""
         path = self._path(folder)
         try:
-            self._link.cwd(path)
+            self._link.cwd(_wire(path))
         except ftplib.error_perm:
             return None
         except ftplib.all_errors as error:
             raise self._gone(path, error) from error
         try:
-            rows = [(name, facts.get("type", "")) for name, facts in self._link.mlsd(path)]
+            # values of facts are in any case (RFC 3659, 7.2)
+            rows = [
+                (_text(name), facts.get("type", "").lower()) for name, facts in self._link.mlsd(_wire(path))
+            ]
             return {name: kind == "dir" for name, kind in rows if kind in ("dir", "file")}
         except ftplib.error_perm:
             return self._listed(path)
@@ -194,7 +220,7 @@ class Ftp:
         except ftplib.all_errors as error:
             raise self._gone(path, error) from error
         out = {}
-        for line in lines:
+        for line in map(_text, lines):
             if line.startswith("total "):
                 continue
             found = _UNIX.match(line) or _DOS.match(line)
@@ -208,33 +234,41 @@ class Ftp:
     def make(self, folder: str) -> None:
         """As :class:`Store` has it."""
         try:
-            self._link.mkd(self._path(folder))
+            self._link.mkd(_wire(self._path(folder)))
         except ftplib.all_errors as error:
             raise _unwritten(folder, error) from error
 
     def write(self, name: str, content: bytes) -> None:
         """As :class:`Store` has it."""
         try:
-            self._link.storbinary(f"STOR {self._path(name)}", io.BytesIO(content))
+            self._link.storbinary(f"STOR {_wire(self._path(name))}", io.BytesIO(content))
         except ftplib.all_errors as error:
             raise _unwritten(name, error) from error
 
     def read(self, name: str) -> bytes | None:
         """As :class:`Store` has it."""
         out = io.BytesIO()
+
+        def keep(part: bytes) -> None:
+            if out.tell() + len(part) > MOST_BYTES:
+                self.close()  # the rest of it is not waited for
+                what = f"{self._url}{self._path(name)}: over {MOST_BYTES} bytes came back"
+                raise TandemError(Issue("upload.controller", what))
+            out.write(part)
+
         try:
-            self._link.retrbinary(f"RETR {self._path(name)}", out.write)
+            self._link.retrbinary(f"RETR {_wire(self._path(name))}", keep)
         except ftplib.error_perm:
             return None
         except ftplib.all_errors as error:
-            raise self._gone(name, error) from error
+            raise self._gone(self._path(name), error) from error
         return out.getvalue()
 
     def remove(self, name: str) -> bool:
         """As :class:`Store` has it."""
         for gone in (self._link.delete, self._link.rmd):
             try:
-                gone(self._path(name))
+                gone(_wire(self._path(name)))
             except ftplib.error_perm:
                 continue
             except ftplib.all_errors:
@@ -251,18 +285,14 @@ class Ftp:
         return f"{self._root}/{name}" if name else self._root or "/"
 
     def _gone(self, path: str, error: Exception) -> TandemError:
-        what = f"{self._url}{path}: {error or type(error).__name__}"
+        what = f"{self._url}{path}: {_told(error)}"
         return TandemError(
             Issue("upload.controller", what, hint="see that the server answers, and try again")
         )
 
 
 def _unwritten(name: str, error: Exception) -> TandemError:
-    why = (
-        error.strerror
-        if isinstance(error, OSError) and error.strerror
-        else str(error) or type(error).__name__
-    )
+    why = error.strerror if isinstance(error, OSError) and error.strerror else _told(error)
     full = is_disk_full(error) or re.search(r"\b(?:452|552)\b|space|quota", str(error), re.IGNORECASE)
     what = f"{name} is not written ({why})" + ("; the disk there is full" if full else "")
     hint = (

@@ -73,8 +73,7 @@ def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
             segments: tuple[Segment, ...] = (Segment(MILL, one.cut.name),)
         elif isinstance(one.cut, EngraveCut):
             out.append(_engraving(work, one, one.cut))
-            count = len(one.cut.engrave)
-            segments = tuple(Segment(MILL, f"{one.cut.name}_c{k + 1}") for k in range(count))
+            segments = tuple(run.segment for run in one.runs)
         else:
             out += _feed_claims(work, one)
             out += _shape(work, one, part)

@@ -20,6 +20,7 @@ from pydantic import (
     model_validator,
 )
 
+from planner.claims.milling import DrawnCurve
 from planner.claims.vocabulary import fold
 from planner.geometry.units import DEG, MM
 from planner.milling.gcode.state import (
@@ -33,6 +34,7 @@ from planner.milling.gcode.state import (
     convention,
 )
 from planner.problem import Stock
+from planner.reading.drawing_file import DrawingFile
 from planner.reading.part import PlaceFile
 from planner.reading.part_ruled import GuideFile
 from planner.reading.strict_yaml import Angle, Name, Strict, Vector
@@ -242,6 +244,32 @@ class LinesCut(_Cut):
         return self
 
 
+class EngravedFile(GuideFile):
+    """A curve to engrave: points, control points, a DXF or Rhino file with one curve; or a ``drawing``, which
+    stands for all curves of a file, one after the other. A curve of a file that is closed is engraved all
+    round."""
+
+    drawing: DrawingFile | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        points = (self.polyline_mm, self.bspline_mm, self.bezier_mm)
+        if sum(kind is not None for kind in (*points, self.dxf, self.rhino, self.drawing)) != 1:
+            raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf, rhino and drawing")
+        return self
+
+    def looked_up(self, folder: Path) -> EngravedFile:
+        """The same with its file, where it has one, named from anywhere."""
+        own = self.model_copy(update=self._files(folder))
+        if own.drawing is None:
+            return own
+        return own.model_copy(update={"drawing": own.drawing.looked_up(folder)})
+
+    def drawn(self) -> DrawnCurve:
+        """The curve, or the curves, for claims."""
+        return super().drawn() if self.drawing is None else self.drawing.drawn()
+
+
 class EngraveCut(_Cut):
     """Curves that are projected along z onto the part's front and engraved there by ``depth_mm``.
 
@@ -249,32 +277,31 @@ class EngraveCut(_Cut):
     """
 
     engrave: Annotated[
-        tuple[GuideFile, ...],
+        tuple[EngravedFile, ...],
         Field(min_length=1, max_length=500, description="curves; their z is not looked at"),
     ]
     name: Name = "pattern"
     depth_mm: Annotated[float, Field(ge=0, le=100, description="below the surface, along its normal")]
     axis: Literal["normal", "upright", "curves"] = "normal"
-    axis_curves: Annotated[tuple[GuideFile, ...], Field(max_length=500)] = ()
+    axis_curves: Annotated[tuple[EngravedFile, ...], Field(max_length=500)] = ()
     lead_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
     tilt_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
 
     @field_validator("engrave", "axis_curves")
     @classmethod
     def _from_the_problem_file(
-        cls, value: tuple[GuideFile, ...], info: ValidationInfo
-    ) -> tuple[GuideFile, ...]:
+        cls, value: tuple[EngravedFile, ...], info: ValidationInfo
+    ) -> tuple[EngravedFile, ...]:
         """Drawings are looked up from the folder of the problem file."""
         folder: Path = (info.context or {}).get("folder", Path())
         return tuple(curve.looked_up(folder) for curve in value)
 
     @model_validator(mode="after")
     def _axes(self) -> Self:
-        if any(curve.rhino is not None for curve in (*self.engrave, *self.axis_curves)):
-            raise ValueError("curves to engrave are not read from Rhino files; save them as DXF (dxf:)")
         if (self.axis == "curves") != bool(self.axis_curves):
             raise ValueError("axis_curves belong to axis: curves, which needs them")
-        if self.axis_curves and len(self.axis_curves) != len(self.engrave):
+        drawings = any(curve.drawing is not None for curve in (*self.engrave, *self.axis_curves))
+        if self.axis_curves and not drawings and len(self.axis_curves) != len(self.engrave):
             raise ValueError(
                 f"axis_curves: got {len(self.axis_curves)} for {len(self.engrave)} curves; give one for each"
             )

@@ -20,7 +20,7 @@ from planner.issues import Issue, TandemError
 from planner.milling.cutter_contact import Over, Places, within
 from planner.milling.operation import EngraveCut, LinesCut, Milling
 from planner.milling.tool_path import Run, plain_path, thinned
-from planner.reading.part_ruled import GuideFile, guide
+from planner.reading.part_ruled import guide
 from planner.tooling import Cutter
 
 UPRIGHT_ANGLE: Final = 1e-3
@@ -292,10 +292,14 @@ def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> l
     out = []
     faults: list[Issue] = []
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
-    for number, spec in enumerate(cut.engrave):
-        field = f"operations.cuts.{cut.name}.engrave.{number}"
+    curves, others = _curves(cut, "engrave"), _curves(cut, "axis_curves")
+    if others and len(others) != len(curves):
+        what = f"{cut.name}: axis_curves are {len(others)} for {len(curves)} curves; give one for each"
+        raise TandemError(Issue("milling.guides", what, field=f"operations.cuts.{cut.name}.axis_curves"))
+    for number, (curve, field) in enumerate(curves):
+        other = others[number] if others else None
         try:
-            tip, axis = _engraving_tool(cut, number, _curve(spec, field), over, cutter, field)
+            tip, axis = _engraving_tool(cut, number, curve, other, over, cutter, field)
         except TandemError as error:
             faults += error.issues
             continue
@@ -311,9 +315,37 @@ def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> l
     return out
 
 
-def _curve(spec: GuideFile, field: str) -> FloatArray:
-    """Places (N, 3) [m] along a curve, evenly apart, with its corners."""
-    own = guide(spec, False, Path(), field)[0].points
+MOST_CURVES: Final = 500
+"""Curves of an engraving at most, those of drawings among them."""
+
+
+def _curves(cut: EngraveCut, key: str) -> list[tuple[FloatArray, str]]:
+    """All curves of a cut, those of drawings one by one, each with its field. Raises ``TandemError``: issues
+    of files, ``part.guide``, ``problem.field`` for too many."""
+    out: list[tuple[FloatArray, str]] = []
+    faults: list[Issue] = []
+    for number, spec in enumerate(getattr(cut, key)):
+        field = f"operations.cuts.{cut.name}.{key}.{number}"
+        try:
+            if spec.drawing is None:
+                out.append((_along(guide(spec, None, Path(), field)[0].points), field))
+                continue
+            found = spec.drawing.curves(f"{field}.drawing")[0]
+        except TandemError as error:
+            faults += error.issues
+            continue
+        out += [(_along(curve.run()), f"{field}.drawing") for curve in found]
+    if faults:
+        raise TandemError(faults)
+    if len(out) > MOST_CURVES:
+        what = f"{cut.name}: {key} are {len(out)} curves with those of drawings; allowed: {MOST_CURVES}"
+        hint = "name layers, or divide them among cuts"
+        raise TandemError(Issue("problem.field", what, field=f"operations.cuts.{cut.name}.{key}", hint=hint))
+    return out
+
+
+def _along(own: FloatArray) -> FloatArray:
+    """Places (N, 3) [m] along a curve (K, 3), evenly apart, with its corners."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(own, axis=0), axis=1))])
     even = np.linspace(0.0, length[-1], max(int(np.ceil(length[-1] / CURVE_SPACING)), 2) + 1)
     at = np.unique(np.concatenate([even, length]))
@@ -321,7 +353,13 @@ def _curve(spec: GuideFile, field: str) -> FloatArray:
 
 
 def _engraving_tool(
-    cut: EngraveCut, number: int, curve: FloatArray, over: Over, cutter: Cutter, field: str
+    cut: EngraveCut,
+    number: int,
+    curve: FloatArray,
+    other: tuple[FloatArray, str] | None,
+    over: Over,
+    cutter: Cutter,
+    field: str,
 ) -> tuple[FloatArray, FloatArray]:
     laid = over.at(curve[:, :2])
     if not laid.on.all():
@@ -336,16 +374,16 @@ def _engraving_tool(
         axis = np.broadcast_to([0.0, 0.0, 1.0], curve.shape).copy()
     elif cut.axis == "normal":
         axis = leant(laid.normal, feed, cut.lead_deg * DEG, cut.tilt_deg * DEG)
+    elif other is not None:
+        axis = _toward(cut, number, laid.point, *other)
     else:
-        axis = _toward(cut, number, laid.point, field)
+        raise ValueError("axis: curves needs axis_curves")
     contact = laid.point - cut.depth_mm * MM * laid.normal
     return tips(contact, laid.normal, axis, cutter), axis
 
 
-def _toward(cut: EngraveCut, number: int, point: FloatArray, field: str) -> FloatArray:
+def _toward(cut: EngraveCut, number: int, point: FloatArray, other: FloatArray, field: str) -> FloatArray:
     """Axes (N, 3) through a second curve, at equal shares of both curves' lengths."""
-    name = field.replace("engrave", "axis_curves")
-    other = _curve(cut.axis_curves[number], name)
     shares = []
     for row in (point, other):
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(row, axis=0), axis=1))])
@@ -364,5 +402,5 @@ def _toward(cut: EngraveCut, number: int, point: FloatArray, field: str) -> Floa
         what = f"{cut.name}: axis curve {number + 1} meets its curve or runs the other way; give "
         what += "it at least 1 mm "
         what += "off its curve and in the same direction"
-        raise TandemError(Issue("milling.guides", what, field=name))
+        raise TandemError(Issue("milling.guides", what, field=field))
     return np.asarray(way / length[:, None])

@@ -26,7 +26,7 @@ from planner.motion.first_look import posture
 from planner.motion.planning_scene import FULL_TURN, Chain, Scene
 from planner.motion.search.reach import SOFT_LIMIT_RAD, SOFT_SINGULARITY_RAD, full_turn
 from planner.motion.search.subsampling import few_samples, subset
-from planner.targets import Freedom, TableFreedom, Targets
+from planner.targets import Freedom, JointFreedom, TableFreedom, Targets
 
 VALUES: Final = 25
 """Values of a freedom; of one that turns without end one less, which is every 15 degrees."""
@@ -93,6 +93,8 @@ def freedoms(targets: Targets, stated: bool) -> dict[str, str]:
 def _unit(freedom: Freedom) -> str:
     if isinstance(freedom, TableFreedom):
         return ""
+    if isinstance(freedom, JointFreedom):
+        return "rad"
     return "rad" if any(np.any(axis[:3]) for axis in freedom.axis.values()) else "m"
 
 
@@ -219,7 +221,7 @@ def places(scenes: Sequence[Scene], targets: Targets, values: FloatArray, steady
     first = scenes[0]
     states, limits, singulars, costs, angles = {}, {}, {}, {}, {}
     for arm, pose in poses.items():
-        own_states = arm_states(first, arm, pose)
+        own_states = arm_states(first, arm, pose, targets.last(arm, values))
         states[arm], limits[arm], singulars[arm] = own_states.state, own_states.limit, own_states.singular
         costs[arm], angles[arm] = own_states.cost, own_states.q
     chosen, pair = _free_choices(scenes, targets, costs, angles, states, steady)
@@ -239,10 +241,10 @@ class ArmStates:
     q: FloatArray
 
 
-def arm_states(scene: Scene, arm: str, pose: FloatArray) -> ArmStates:
-    """The same of TCP poses (..., S, 4, 4) in the world."""
+def arm_states(scene: Scene, arm: str, pose: FloatArray, last: FloatArray | None = None) -> ArmStates:
+    """The same of TCP poses (..., S, 4, 4) in the world, ``last`` (..., S) as of :meth:`Chain.inverse`."""
     chain = scene.chains[arm]
-    q = chain.inverse(pose)  # (..., S, B, 6)
+    q = chain.inverse(pose, last=last)  # (..., S, B, J)
     limit, single = chain.best_limit_margin(q), chain.singularity_margin(q)
     hard, bend = scene.settings.joint_margin, scene.settings.singularity_margin
     cost = _lack(limit, hard, SOFT_LIMIT_RAD) + _lack(single, bend, SOFT_SINGULARITY_RAD)
@@ -284,7 +286,7 @@ def _free_choices(
     usual = np.where(np.isfinite(cost), cost - MUCH * suits, np.inf)
     order = np.argsort(usual, axis=-1, kind="stable")[..., :MOST_CHOICES]
     ranked = np.take_along_axis(cost, order, axis=-1)
-    q = {arm: np.full((*shape, 6), np.nan) for arm in arms}
+    q = {arm: np.full((*shape, angles[arm].shape[-1]), np.nan) for arm in arms}
     open_ = np.asarray(np.logical_and.reduce([states[arm] == FREE for arm in arms]))
     for rank in range(ranked.shape[-1]):
         k, v = np.nonzero(open_ & np.isfinite(ranked[..., rank]))

@@ -88,9 +88,10 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
     if not r.solved[branch, index] and r.exists[:, index].any():  # by branches that end elsewhere
         return _broken(targets, index)
     pose = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm]
-    q = chain.inverse(pose, [branch])[:, 0]
+    last = targets.last(arm, grid.values[index])
+    q = chain.inverse(pose, [branch], last)[:, 0]
     if np.isnan(q[:, 0]).all():  # numbers of an offset wrist are joined along the path
-        q = chain.inverse(pose).reshape(-1, 6)
+        q = chain.inverse(pose, last=last).reshape(-1, chain.robot.axes)
     q = q[~np.isnan(q[:, 0])]
     limit = chain.best_limit_margin(q)
     best = int(np.argmax(np.minimum(limit, chain.singularity_margin(q))))
@@ -115,9 +116,10 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
             count=count,
         )
     single = float(chain.singularity_margin(q[best]))
-    which = ("wrist (axis 5)", "elbow (axis 3)", "shoulder (axis 1)")[
-        int(np.argmin(chain.singularities(q[best])))
-    ]
+    names = ("wrist (axis 5)", "elbow (axis 3)", "shoulder (axis 1)")
+    if chain.spare:  # of what is left with axis 7 held
+        names = ("forearm (axis 5)", "elbow (axis 4)", "shoulder (axis 2)")
+    which = names[int(np.argmin(chain.singularities(q[best])))]
     return Issue(
         "motion.singular",
         f"arm {arm} is {single / DEG:.1f} deg from a singularity of its {which} at target {name}, "

@@ -121,8 +121,10 @@ def _whole(operation: OperationPlan) -> bool:
         if name in operation.together and len({len(own) for own in way.values()}) > 1:
             return False
     shapes: list[tuple[FloatArray, tuple[int, ...]]] = [(operation.values, (count, len(targets.freedoms)))]
-    shapes += [(q, (count, 6)) for q in operation.q.values()]
-    shapes += [(w, (max(len(w), 2), 6)) for w in (*operation.entry.values(), *operation.exit.values())]
+    joints = {arm: q.shape[1] if q.ndim == 2 else 0 for arm, q in operation.q.items()}
+    shapes += [(q, (count, joints[arm])) for arm, q in operation.q.items()]
+    ways = (*operation.entry.items(), *operation.exit.items())
+    shapes += [(way, (max(len(way), 2), joints[arm])) for arm, way in ways]
     shapes += [(pose, (count, 4, 4)) for pose in targets.pose.values()]
     shapes += [(values, (count,)) for values in targets.ride.values()]
     return all(array.shape == shape and bool(np.isfinite(array).all()) for array, shape in shapes)

@@ -5,7 +5,8 @@ There is no closed form; there is a search over one angle. Theta 6 says where ax
 there on theta 1 (two ways) and theta 2 and 3 (two ways) follow in closed form, and one condition is left:
 axis 5 square to axis 4. As a function of theta 6 it is smooth for each of the four ways, up to the ends of
 what the elbow reaches, where two ways meet in one value. It is sampled at :data:`NODES` angles and at these
-ends; changes of its sign are refined, and so are dips that may hold two roots. A pose has up to 16 solutions.
+ends, and densely where the wrist's centre passes close by axis 1, which turns theta 1 at once; changes of its
+sign are refined, and so are dips that may hold two roots. A pose has up to 16 solutions.
 
 A branch is the number 4 * (the condition rises there) + 2 * shoulder + elbow + 8 * rank: the condition
 rises or falls as the determinant of the Jacobian is positive or negative, so that a number goes on as long as
@@ -91,6 +92,19 @@ class _Condition:
         tilted, risen = lean_c * front + lean_s * y[2], lean_c * y[2] - lean_s * front
         return cosine, tilted * u + risen * v, tilted * v - risen * u
 
+    def beside_axis1(self, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """At theta 6 (..., K): where the wrist's centre is in plan from axis 1 (2, ..., K), and how it goes
+        on with theta 6."""
+        p = self.form
+        c, s = np.cos(angle), np.sin(angle)
+        one, two = p.a3 * self.ex[:2] + p.b3 * self.ey[:2], p.b3 * self.ex[:2] - p.a3 * self.ey[:2]
+        return np.asarray(self.foot[:2] - c * one - s * two), np.asarray(s * one - c * two)
+
+    def leaving(self, angle: FloatArray) -> FloatArray:
+        """Above 0 where the wrist's centre goes away from axis 1 with theta 6 (..., K)."""
+        place, way = self.beside_axis1(angle)
+        return np.asarray((place * way).sum(axis=0))
+
     def room(self, angle: FloatArray, shoulder: FloatArray) -> FloatArray:
         """Above 0 in reach, below 0 out of it."""
         return _room(self.parts(angle, shoulder)[0])
@@ -134,7 +148,8 @@ _Brackets = tuple[IndexArray, FloatArray, FloatArray, FloatArray, FloatArray]
 def _all(form: OffsetParameters, pose: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
     """Pose, branch and theta (M, 6) of all solutions of poses (P, 4, 4) of the form's own flange."""
     condition = _Condition(form, pose)
-    found = [_brackets(condition, shoulder) for shoulder in (1.0, -1.0)]
+    passes = _passes(condition)
+    found = [_brackets(condition, shoulder, passes) for shoulder in (1.0, -1.0)]
     row, shoulder, elbow, low, high = (np.concatenate(parts) for parts in zip(*found, strict=True))
     own, s, e = condition.of(row), shoulder[:, None], elbow[:, None]
     angle = _zero(lambda t, k: own.of(k).value(t, s[k], e[k]), low, high)
@@ -147,6 +162,10 @@ def _all(form: OffsetParameters, pose: FloatArray) -> tuple[IndexArray, IndexArr
     order = np.lexsort((-np.abs(slope), branch, row))
     order = order[good[order]]
     row, branch, theta = row[order], branch[order], theta[order]
+    # a root at the border of two kinds of samples may have been found by both
+    twice = (np.diff(row) == 0) & (np.abs(np.diff(theta, axis=0)).max(axis=1, initial=0.0) < _ONE_SOLUTION)
+    fresh = np.append(True, ~twice)[: len(row)]
+    row, branch, theta = row[fresh], branch[fresh], theta[fresh]
     same = np.append(False, (np.diff(row) == 0) & (np.diff(branch) == 0))
     start = np.maximum.accumulate(np.where(same, 0, np.arange(len(row))))
     rank = np.arange(len(row)) - start
@@ -154,7 +173,25 @@ def _all(form: OffsetParameters, pose: FloatArray) -> tuple[IndexArray, IndexArr
     return row[kept], (branch + 8 * rank)[kept], theta[kept]
 
 
-def _brackets(condition: _Condition, shoulder: float) -> _Brackets:
+_Passes = tuple[IndexArray, IndexArray, FloatArray, FloatArray]
+"""Poses, the sample before, theta 6, and the width in theta 6 (M,) of where the wrist's centre passes close
+by axis 1: it turns about it by half a right angle over this width."""
+
+
+def _passes(condition: _Condition) -> _Passes:
+    """Where the wrist's centre passes so close by axis 1 that the samples are too far apart."""
+    angle, step = _FIRST + 2.0 * np.pi * np.arange(NODES) / NODES, 2.0 * np.pi / NODES
+    leaving = condition.leaving(angle) > 0.0
+    row, at = np.nonzero(~leaving & np.roll(leaving, -1, axis=1))
+    own = condition.of(row)
+    middle = _zero(lambda t, k: own.of(k).leaving(t), angle[at], angle[at] + step)
+    place, way = (np.linalg.norm(part[..., 0], axis=0) for part in own.beside_axis1(middle[:, None]))
+    close = place < _CLOSE * step * way
+    row, at, middle, place, way = row[close], at[close], middle[close], place[close], way[close]
+    return row, at, middle, np.maximum(place / way, _LEAST_WIDTH)
+
+
+def _brackets(condition: _Condition, shoulder: float, passes: _Passes) -> _Brackets:
     """Where the condition changes its sign, on one side of axis 1."""
     angle = _FIRST + 2.0 * np.pi * np.arange(NODES) / NODES
     step = 2.0 * np.pi / NODES
@@ -170,28 +207,68 @@ def _brackets(condition: _Condition, shoulder: float) -> _Brackets:
         out.append((row, np.full(len(row), shoulder), np.full(len(row), elbow), low, high))
 
     ends = _ends(condition, shoulder, angle, room, inside)
+    dense, dense_row, dense_at = _dense(condition, shoulder, passes)
+    own = condition.of(dense_row)
+    between, around = np.zeros_like(inside), np.zeros_like(inside)
+    for shift in (-1, 0, 1, 2):
+        around[dense_row, (dense_at + shift) % NODES] = True
+        between[dense_row, (dense_at + min(shift, 1)) % NODES] = True
     for elbow in (-1.0, 1.0):
         value = cosine * along + elbow * sine * across
         after = np.roll(value, -1, axis=1)
-        row, at = np.nonzero(((value > 0.0) != (after > 0.0)) & inside & np.roll(inside, -1, axis=1))
+        changes = ((value > 0.0) != (after > 0.0)) & inside & np.roll(inside, -1, axis=1)
+        row, at = np.nonzero(changes & ~between)
         add(row, elbow, angle[at], angle[at] + step)
-        row, at = np.nonzero(_turns_back(np.stack([np.roll(value, 1, axis=1), value, after], axis=2))[..., 0])
+        turns = _turns_back(np.stack([np.roll(value, 1, axis=1), value, after], axis=2))[..., 0]
+        row, at = np.nonzero(turns & ~around)
         for some, low, high in _dips(condition, row, angle[at] - step, angle[at] + step, shoulder, elbow):
             add(some, elbow, low, high)
+        value = own.value(dense, side, np.array(elbow))
+        value[own.room(dense, side) < 0.0] = np.nan
+        one, at = np.nonzero((value[:, 2:-1] > 0.0) != (value[:, 1:-2] > 0.0))
+        add(dense_row[one], elbow, dense[one, at + 1], dense[one, at + 2])
+        one, at = np.nonzero(_turns_back(value))
+        low, high = dense[one, at], dense[one, at + 2]
+        for some, first, second in _dips(condition, dense_row[one], low, high, shoulder, elbow):
+            add(some, elbow, first, second)
         for row, near, end in ends:
-            # places ever nearer to the end, where the condition goes as a root, and the angle before them
+            # places ever nearer to the end, where the condition goes as a root, and on to the angle before
             places = end[:, None] + (near - end)[:, None] * np.linspace(0.0, 1.0, _PLACES) ** 2
-            back = near + np.where(near > end, step, -step)
-            places = np.concatenate([places, back[:, None]], axis=1)
+            back = (
+                near[:, None] + np.where(near > end, step, -step)[:, None] * np.arange(1, _BACK + 1) / _BACK
+            )
+            places = np.concatenate([places, back], axis=1)
             value = condition.of(row).value(places, side, np.array(elbow))
-            value[condition.of(row).room(back[:, None], side)[:, 0] < 0.0, -1] = np.nan
-            one, at = np.nonzero((value[:, 1:-1] > 0.0) != (value[:, :-2] > 0.0))
+            value[:, _PLACES:][condition.of(row).room(back, side) < 0.0] = np.nan
+            above = value > 0.0
+            changes = (above[:, 1:] != above[:, :-1]) & np.isfinite(value[:, 1:]) & np.isfinite(value[:, :-1])
+            # between two samples one change of sign has been seen already
+            changes[:, _PLACES - 1 :] &= (above[:, _PLACES - 1] == above[:, -1])[:, None]
+            one, at = np.nonzero(changes)
             add(row[one], elbow, places[one, at], places[one, at + 1])
             one, at = np.nonzero(_turns_back(value))
             low, high = places[one, at], places[one, at + 2]
             for some, first, second in _dips(condition, row[one], low, high, shoulder, elbow):
                 add(some, elbow, first, second)
     return tuple(np.concatenate(parts) for parts in zip(*out, strict=True))  # type: ignore[return-value]
+
+
+def _dense(
+    condition: _Condition, shoulder: float, passes: _Passes
+) -> tuple[FloatArray, IndexArray, IndexArray]:
+    """Angles (M, K) over the three gaps of the samples about passes, evenly in the angle about axis 1, with a
+    sample before and one behind; poses and the sample before the pass (M,). Not where reach ends there."""
+    row, at, middle, width = passes
+    step = 2.0 * np.pi / NODES
+    low = _FIRST + step * (at - 1)
+    first, last = (np.arctan((end - middle) / width) for end in (low, low + 3.0 * step))
+    turn = first[:, None] + (last - first)[:, None] * np.linspace(0.0, 1.0, _TURNS)
+    angle = middle[:, None] + width[:, None] * np.tan(turn)
+    angle[:, 0], angle[:, -1] = low, low + 3.0 * step
+    angle = np.concatenate([low[:, None] - step, angle, low[:, None] + 4.0 * step], axis=1)
+    room = condition.of(row).room(angle, np.array(shoulder))
+    good = (room[:, 1:-1] >= 0.0).all(axis=1)
+    return angle[good], row[good], at[good]
 
 
 def _turns_back(value: FloatArray) -> BoolArray:
@@ -249,6 +326,16 @@ _FIRST: Final = 0.0123
 """First angle: symmetric arms have solutions at whole parts of a turn, which stay off the samples so."""
 _PLACES: Final = 10
 """Places that are looked at between the end of reach and the angle next to it."""
+_BACK: Final = 4
+"""Places from there to the angle before it."""
+_CLOSE: Final = 3.0
+"""Gaps between the samples below which the width of a pass by axis 1 has samples of its own."""
+_LEAST_WIDTH: Final = 1e-9
+"""Least width [rad] of a pass by axis 1; there theta 1 is as good as free."""
+_TURNS: Final = 48
+"""Angles about a pass by axis 1."""
+_ONE_SOLUTION: Final = 1e-8
+"""Solutions that are as near [rad] are one."""
 _NARROW: Final = 0.02
 """How far the squared cosine is beyond 1 at most where a narrow reach is looked for."""
 _GOLDEN: Final = 0.5 * (3.0 - 5.0**0.5)

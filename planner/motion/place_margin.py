@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from planner.catalogue.robots import OffsetParameters, ParallelParameters
+from planner.catalogue.robots import OffsetParameters, ParallelParameters, SevenParameters
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion import offset_wrist, three_parallel
+from planner.motion import offset_wrist, seven_axes, three_parallel
 from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.subsampling import Few
 from planner.problem import Settings
@@ -46,7 +46,7 @@ def margins_at(
     stock: FloatArray,
     settings: Settings,
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Margins {arm: (K, M, B)} beyond the hard ones, capped, and joints {arm: (K, M, B, 6)} of all B
+    """Margins {arm: (K, M, B)} beyond the hard ones, capped, and joints {arm: (K, M, B, J)} of all B
     branches, for M sampled states.
 
     Out of reach the margin is -1 less the distance [m] by which the wrist's centre is out of reach.
@@ -54,7 +54,7 @@ def margins_at(
     out, joints = {}, {}
     for arm, pose, back in _poses_at(scene, few, stock):
         value, near, q = _margins(scene.chains[arm], pose, settings)
-        every = np.full((*value.shape, 6), np.nan)
+        every = np.full((*value.shape, q.shape[-1]), np.nan)
         every[near] = q
         out[arm], joints[arm] = value[:, back], every[:, back]
     return out, joints
@@ -74,7 +74,7 @@ def _poses_at(scene: Scene, few: Few, stock: FloatArray) -> Iterator[tuple[str, 
 
 def _margins(chain: Chain, pose: FloatArray, settings: Settings) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Margins (K, D, B) of an arm at poses (K, D, 4, 4), which of these are not surely out of reach (K, D),
-    and the joints (P, B, 6) at those, which alone are worked out."""
+    and the joints (P, B, J) at those, which alone are worked out."""
     gap, far = _gap(chain, pose)
     near = ~far
     value = np.repeat((-1.0 - gap)[..., None], chain.robot.form.branches, axis=-1)
@@ -99,6 +99,9 @@ def _gap(chain: Chain, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
     if isinstance(form, ParallelParameters):
         gap = three_parallel.reach_gap(form, flange)
         return gap, np.zeros(gap.shape, dtype=np.bool_)
+    if isinstance(form, SevenParameters):
+        gap = seven_axes.reach_gap(form, flange)
+        return gap, np.asarray(gap > SURELY_OUT_M)
     if isinstance(form, OffsetParameters):
         gap = offset_wrist.reach_gap(form, flange)
         return gap, np.asarray(gap > SURELY_OUT_M)

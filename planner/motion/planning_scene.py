@@ -2,7 +2,8 @@
 
 **Kinematics of one arm** (`Chain`) as planning sees it: closed-form inverse, turns, limit margins,
 rates. The inverse is that of the arm's form: :mod:`planner.motion.spherical_wrist`,
-:mod:`planner.motion.three_parallel` or :mod:`planner.motion.offset_wrist`.
+:mod:`planner.motion.three_parallel`, :mod:`planner.motion.offset_wrist` or, with a seventh joint,
+:mod:`planner.motion.seven_axes`.
 
 **Scene**: where things stand for one operation, the arms that take part, the stock, and the cell's
 collision model.
@@ -23,6 +24,8 @@ from planner.catalogue.robots import (
     OpwParameters,
     ParallelParameters,
     RobotData,
+    SevenParameters,
+    columns_of,
 )
 from planner.cell import clearance
 from planner.cell.bodies import NOT_EASED
@@ -32,25 +35,32 @@ from planner.cell.kinematics import forward, jacobian
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, transform
 from planner.geometry.arrays import inverse as rigid_inverse
-from planner.motion import offset_wrist, own_clearance, spherical_wrist, three_parallel
+from planner.motion import offset_wrist, own_clearance, seven_axes, spherical_wrist, three_parallel
 from planner.problem import Arm, Cell, LinearTrack, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
 
 
 def inverse_kinematics(
-    form: ArmForm, flange: FloatArray, branches: Sequence[int] | None = None
+    form: ArmForm,
+    flange: FloatArray,
+    branches: Sequence[int] | None = None,
+    last: FloatArray | None = None,
 ) -> FloatArray:
-    """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base, all branches of
-    the form unless some are named; NaN where none exists.
+    """Joint angles (..., len(branches), J) [rad] of flange poses (..., 4, 4) in the base, all branches of
+    the form unless some are named; NaN where none exists. ``last`` (...,) [rad]: the last joint of an arm
+    with seven axes, without which its poses say too little.
 
     Branch number = shoulder (0 front, 1 back) * 2 + elbow (0, 1) + 4 * wrist (0 theta5 >= 0, 1 flipped); of
     an offset wrist as :mod:`planner.motion.offset_wrist` says. Angles are not wrapped into limits. The branch
     number of a solution is continuous in the pose while the arm does not pass a singularity; that of an
-    offset wrist may change where other solutions come and go. Raises ``TypeError`` for a form that is not
+    offset wrist may change where other solutions come and go. With seven axes the shoulder is theta2 >= 0
+    (0) or not, the wrist the side of axis 4 on which axis 6 is. Raises ``TypeError`` for a form that is not
     known.
     """
     branches = range(form.branches) if branches is None else branches
+    if isinstance(form, SevenParameters) and last is not None:
+        return seven_axes.inverse_kinematics(form, flange, last, branches)
     if isinstance(form, OffsetParameters):
         return offset_wrist.inverse_kinematics(form, flange, branches)
     if isinstance(form, ParallelParameters):
@@ -80,44 +90,59 @@ class Chain:
         return Chain(arm.name, arm.data, arm.base if base is None else base, arm.tool.tcp, arm.home)
 
     def pose(self, q: FloatArray) -> FloatArray:
-        """TCP poses (..., 4, 4) in the world for joint angles (..., 6)."""
+        """TCP poses (..., 4, 4) in the world for joint angles (..., J)."""
         return np.asarray(self.base @ forward(self.robot, q) @ self.tcp)
 
-    def inverse(self, pose: FloatArray, branches: Sequence[int] | None = None) -> FloatArray:
-        """Joint angles (..., len(branches), 6) of TCP poses (..., 4, 4), each within pi of the middle of its
-        range, of all branches of the arm's form unless some are named.
+    def inverse(
+        self, pose: FloatArray, branches: Sequence[int] | None = None, last: FloatArray | None = None
+    ) -> FloatArray:
+        """Joint angles (..., len(branches), J) of TCP poses (..., 4, 4), each within pi of the middle of its
+        range, of all branches of the arm's form unless some are named. ``last`` (...,) [rad]: the last joint
+        of an arm with seven axes, as at home unless stated.
 
         NaN where a pose is out of reach. Joints that may turn more than once have more states: :attr:`turns`.
         """
-        return wrap(inverse_kinematics(self.robot.form, self._flange(pose), branches), self.middle)
+        if self.spare and last is None:
+            last = np.broadcast_to(self.home[-1], pose.shape[:-2])
+        return wrap(inverse_kinematics(self.robot.form, self._flange(pose), branches, last), self.middle)
 
-    def on_branch(self, pose: FloatArray, branch: int, near: FloatArray) -> FloatArray:
-        """Joint angles (..., 6) of TCP poses (..., 4, 4) on one branch, joints that may turn more than once
-        nearest to ``near`` (..., 6); NaN where there is none.
+    @property
+    def spare(self) -> bool:
+        """Whether it has one joint more than a pose asks for, the last one, which is a freedom then."""
+        return isinstance(self.robot.form, SevenParameters)
+
+    def on_branch(
+        self, pose: FloatArray, branch: int, near: FloatArray, last: FloatArray | None = None
+    ) -> FloatArray:
+        """Joint angles (..., J) of TCP poses (..., 4, 4) on one branch, joints that may turn more than once
+        nearest to ``near`` (..., J); NaN where there is none. ``last`` as of :meth:`inverse`, that of
+        ``near`` unless stated.
 
         An offset wrist is followed from ``near`` on, whatever number its branch has there.
         """
         if isinstance(self.robot.form, OffsetParameters):
             return offset_wrist.followed(self.robot.form, self._flange(pose), near)
-        return self.continuous(self.inverse(pose, [branch])[..., 0, :], near)
+        if self.spare and last is None:
+            last = near[..., -1]
+        return self.continuous(self.inverse(pose, [branch], last)[..., 0, :], near)
 
     def joined(self, q: FloatArray) -> FloatArray:
         """Joints (N, S, B, 6) of :meth:`inverse` at N targets with S samples, branches as they go on from
         target to target: those of an offset wrist have no numbers that hold everywhere."""
         return offset_wrist.joined(q) if isinstance(self.robot.form, OffsetParameters) else q
 
-    def joined_on(self, pose: FloatArray, branch: int) -> FloatArray:
-        """Those of one branch alone, joints (N, S, 6), at TCP poses (N, S, 4, 4)."""
+    def joined_on(self, pose: FloatArray, branch: int, last: FloatArray | None = None) -> FloatArray:
+        """Those of one branch alone, joints (N, S, J), at TCP poses (N, S, 4, 4)."""
         if isinstance(self.robot.form, OffsetParameters):  # all of them together give each its number
             return self.joined(self.inverse(pose))[..., branch, :]
-        return self.inverse(pose, [branch])[..., 0, :]
+        return self.inverse(pose, [branch], last)[..., 0, :]
 
     def _flange(self, pose: FloatArray) -> FloatArray:
         return np.asarray(rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp))
 
     @property
     def middle(self) -> FloatArray:
-        """Middle (6,) of every joint's range."""
+        """Middle (J,) of every joint's range."""
         return np.asarray(0.5 * (self.robot.lower + self.robot.upper))
 
     @property
@@ -198,7 +223,8 @@ class Chain:
         """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and
         the angle under which the stretched arm would see the distance of the wrist's centre from axis 1; of
         an arm with three parallel axes, that of where axes 5 and 6 meet. Of an offset wrist the first is
-        the angle whose sine the Jacobian's determinant has left beside the other two."""
+        the angle whose sine the Jacobian's determinant has left beside the other two. With seven axes those
+        at which no other joint can be moved with the last one held: :mod:`planner.motion.seven_axes`."""
         return np.stack(self._singularities(q), axis=-1)
 
     def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -207,6 +233,8 @@ class Chain:
             return offset_wrist.singularities(p, q)
         if isinstance(p, ParallelParameters):
             return three_parallel.singularities(p, q)
+        if isinstance(p, SevenParameters):
+            return seven_axes.singularities(p, q)
         p = self.robot.opw
         theta2, theta3, theta5 = (p.signs[j] * q[..., j] - p.offsets[j] for j in (1, 2, 4))
         wrist = np.abs(wrap(2.0 * theta5, np.zeros(()))) / 2.0
@@ -217,8 +245,8 @@ class Chain:
         return wrist, elbow, shoulder
 
     def rates(self, q: FloatArray, twist: FloatArray) -> FloatArray:
-        """Joint rates (..., K, 6) for K body twists (..., K, 6) of the TCP (angular part first) at angles q
-        (..., 6)."""
+        """Joint rates (..., K, J) for K body twists (..., K, 6) of the TCP (angular part first) at angles q
+        (..., J); a joint more than six stands."""
         jac = jacobian(self.robot, q)
         flange = forward(self.robot, q)
         tool = flange[..., :3, :3] @ self.tcp[:3, :3]
@@ -226,8 +254,19 @@ class Chain:
         linear = np.einsum("...ij,...kj->...ik", tool, twist[..., 3:])
         lever = flange[..., :3, :3] @ self.tcp[:3, 3]
         at_flange = linear - np.cross(np.swapaxes(angular, -1, -2), lever[..., None, :]).swapaxes(-1, -2)
-        rates = np.linalg.solve(jac, np.concatenate([angular, at_flange], axis=-2))
-        return np.swapaxes(rates, -1, -2)
+        rates = np.linalg.solve(jac[..., :6], np.concatenate([angular, at_flange], axis=-2))
+        return self.with_last(np.swapaxes(rates, -1, -2))
+
+    def with_last(self, rates: FloatArray) -> FloatArray:
+        """Rates (..., J) of rates (..., 6) with the last joint held."""
+        return np.concatenate([rates, np.zeros((*rates.shape[:-1], 1))], axis=-1) if self.spare else rates
+
+    def own_rates(self, q: FloatArray) -> FloatArray:
+        """Joint rates (..., J) per [rad] of the last joint with the TCP held, at angles q (..., J) of an arm
+        that has one to spare."""
+        jac = jacobian(self.robot, q)
+        others = np.linalg.solve(jac[..., :6], -jac[..., 6:])[..., 0]
+        return np.concatenate([others, np.ones((*others.shape[:-1], 1))], axis=-1)
 
 
 def _plain_margin(margin: FloatArray) -> FloatArray:
@@ -290,6 +329,10 @@ class Scene:
         tracks = {arm.name: (arm.track, arm.station or 0.0) for arm in stands if arm.track is not None}
         eased = None if model is None else own_clearance.eased(model, settings)
         return Scene(chains, stock, settings, eased, tracks)
+
+    def columns(self, arms: Sequence[str]) -> dict[str, slice]:
+        """Where each of some arms' joints are among those of all of them, one after the other."""
+        return columns_of({arm: self.chains[arm].robot for arm in arms})
 
     def ridden(
         self, targets: Targets, index: IndexArray | None = None, share: FloatArray | None = None
@@ -380,8 +423,9 @@ class Scene:
         return points if frame == "world" else transform(self.stock, points)
 
     @functools.cached_property
-    def last_reach(self) -> dict[str, tuple[FloatArray, tuple[int, int], object]]:
-        """What was found last of each arm's reach: the poses, how many targets and samples, and the table."""
+    def last_reach(self) -> dict[str, tuple[FloatArray, FloatArray | None, tuple[int, int], object]]:
+        """What was found last of each arm's reach: the poses, last joints that are freedoms, how many targets
+        and samples, and the table."""
         return {}
 
     @functools.cached_property

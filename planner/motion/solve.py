@@ -26,13 +26,13 @@ from planner.motion.first_look import FirstLook
 from planner.motion.former import Former, place_told, unlike_told
 from planner.motion.operation import NoCoarsePathError, plan_operation
 from planner.motion.placement import Place, Search, Trace
-from planner.motion.planning_scene import Scene
+from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.ladder_search import Blocked, Found
 from planner.motion.search.path_search import find_path, with_aims
-from planner.motion.search.reach import Grid
+from planner.motion.search.reach import Grid, slides_only
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
-from planner.targets import Targets
+from planner.targets import JointFreedom, Targets
 
 SPLINE_CLEARANCE_M: Final = 4e-3
 """Bodies keep so much farther [m] apart."""
@@ -46,7 +46,32 @@ SPLINE_RAMP_FACTOR: Final = 1.25
 
 def with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tuple[Targets, ...]]:
     """The problem and its targets with room for the sag of arms that have it compensated, and for the curves
-    of spline blocks; as they are without such."""
+    of spline blocks, and with the last joints of arms with seven axes as freedoms; as they are without
+    such."""
+    problem, targets = _with_room(problem, targets)
+    return problem, tuple(_with_joints(problem, own) for own in targets)
+
+
+def _with_joints(problem: Problem, targets: Targets) -> Targets:
+    """The targets with the last joint of each arm that has one to spare as a freedom."""
+    names = {freedom.name for freedom in targets.freedoms}
+    turns = any(not slides_only(freedom) for freedom in targets.freedoms)
+    out = []
+    for arm in (problem.cell.arm(name) for name in targets.arms):
+        if not Chain.of(arm).spare:
+            continue
+        robot, margin = arm.data, problem.settings.joint_margin
+        middle = 0.5 * (robot.lower[-1] + robot.upper[-1])
+        half = min(0.5 * (robot.upper[-1] - robot.lower[-1]) - margin, np.pi)
+        name = f"axis_{robot.axes}_{arm.name}"
+        while name in names:
+            name += "_"
+        bounds = np.full(targets.count, middle - half), np.full(targets.count, middle + half)
+        out.append(JointFreedom(name, arm.name, *bounds, alone=not turns))
+    return dataclasses.replace(targets, freedoms=(*targets.freedoms, *out)) if out else targets
+
+
+def _with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tuple[Targets, ...]]:
     own = problem.settings
     way, turn = sag.room(problem)
     if way > 0.0 or turn > 0.0:

@@ -32,7 +32,6 @@ from planner.problem import (
     FOLLOWING_WRITTEN,
     STOCK,
     TILT,
-    TILTS_WRITTEN,
     LinearTrack,
     Problem,
     RotaryAxis,
@@ -536,8 +535,7 @@ def _stands(problem: Problem, targets: Sequence[Targets], grid: FloatArray, axis
 
 def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     """A turntable under the middle of the block, from which every operation is reached; its home is where the
-    block stands now. Where none does, a positioner is looked for, whose tilt axis lies across the plate, for
-    an arm in whose language positioners are."""
+    block stands now. Where none does, a positioner is looked for, whose tilt axis lies across the plate."""
     setup = problem.setups[0]
     bottom = [transform(_place(setup) @ s.pose, corners(s)) for s in setup.stock.support]
     bottom = bottom or [transform(_place(setup), support.block_corners(setup.stock))]
@@ -549,8 +547,7 @@ def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
         return ""
     stands = _stands(problem, targets, _Table(table).values(), _Table(table))
     at = ", ".join(f"{v:.0f}" for v in centre / MM)
-    tilts = problem.cell.arms[0].data.family in TILTS_WRITTEN
-    if stands is None and tilts and all(map(any_lean, problem.operations)):
+    if stands is None and all(map(any_lean, problem.operations)):
         return _tilt_advice(problem, targets, table, at)
     if stands is None or not np.abs(stands).max() > ANGLE_NOISE:
         return ""

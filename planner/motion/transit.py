@@ -135,7 +135,8 @@ class _Transit:
         q: dict[str, FloatArray] = {}
         for arm, pose in world.items():
             chain = self.scene.chains[arm]
-            angles = chain.inverse(pose, [self.found.path.branch[arm]])[:, 0]
+            last = self.targets.last(arm, values)
+            angles = chain.inverse(pose, [self.found.path.branch[arm]], last)[:, 0]
             near = self.found.q[arm][self.i - 1]
             q[arm] = chain.continuous(angles, np.broadcast_to(near, angles.shape))
             ok &= chain.limit_margin(q[arm]) >= self.scene.settings.joint_margin

@@ -179,7 +179,7 @@ def _kept(
     own = {arm: _carried(former.way[arm], scene.chains[arm].home, goal[arm]) for arm in order}
     if former.together:
         way = _mended(_Moving(scene, {}, order), np.concatenate([own[arm] for arm in order], axis=1))
-        return None if way is None else dataclasses.replace(_apart(way, order), known=True)
+        return None if way is None else dataclasses.replace(_apart(scene, way, order), known=True)
     standing = {arm: scene.chains[arm].home for arm in order}
     for arm in order:
         way = _mended(_Moving(scene, dict(standing), (arm,)), own[arm])
@@ -231,7 +231,10 @@ def ends_free(scene: Scene, q: Mapping[str, FloatArray]) -> BoolArray:
     for order in itertools.permutations(q):
         ok = np.ones(count, dtype=bool)
         for there in range(1, len(order)):
-            home = {arm: np.broadcast_to(scene.chains[arm].home, (count, 6)) for arm in order[there:]}
+            home = {
+                arm: np.broadcast_to(scene.chains[arm].home, (count, len(scene.chains[arm].home)))
+                for arm in order[there:]
+            }
             part = {arm: q[arm] for arm in order[:there]} | home
             ok &= clearance.free(scene.model, part, scene.settings.clearance)
         out |= ok
@@ -299,9 +302,9 @@ def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: Float
     return None
 
 
-def _apart(way: FloatArray, order: tuple[str, ...]) -> Ways:
+def _apart(scene: Scene, way: FloatArray, order: tuple[str, ...]) -> Ways:
     """The ways of all arms that go at once along a way (M, D) of all of them."""
-    parts = {arm: way[:, 6 * k : 6 * k + 6].copy() for k, arm in enumerate(order)}
+    parts = {arm: way[:, part].copy() for arm, part in scene.columns(order).items()}
     return Ways(parts, order, together=True)
 
 
@@ -316,8 +319,13 @@ class _Moving:
 
     def joints(self, points: FloatArray) -> dict[str, FloatArray]:
         """Joints {arm: (B, 6)} of all arms."""
-        rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in self.standing.items()}
-        return rows | {arm: points[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self.arms)}
+        rows = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in self.standing.items()}
+        return rows | {arm: points[:, part] for arm, part in self.columns.items()}
+
+    @functools.cached_property
+    def columns(self) -> dict[str, slice]:
+        """Where each arm's joints are in a point."""
+        return self.scene.columns(self.arms)
 
     def free(self, points: FloatArray) -> BoolArray:
         """(B,) whether joints are within their limits and bodies keep clear."""
@@ -353,7 +361,7 @@ class _Moving:
             return np.ones(len(points), dtype=bool)
         if not self.rest_free:
             return np.zeros(len(points), dtype=bool)
-        change = {arm: half[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self.arms)}
+        change = {arm: half[:, part] for arm, part in self.columns.items()}
         rows = self.joints(points)
         return clearance.stay_free(model, rows, change, wanted, self.solid_levers, self.resting)
 
@@ -367,7 +375,7 @@ class _Moving:
         """How far (D,) [m/rad] each joint can carry a point at most."""
         model = self.scene.model
         if model is None:
-            return np.ones(6 * len(self.arms))
+            return np.ones(self.columns[self.arms[-1]].stop)
         return np.concatenate([levers(model, arm) for arm in self.arms])
 
     def blocked(self, way: FloatArray, every: bool) -> Places:
@@ -382,24 +390,25 @@ class _Moving:
         row, room, slope = [np.zeros(0, dtype=np.intp)], [np.zeros(0)], [np.zeros((0, points.shape[1]))]
         if model is not None:
             wanted = self.scene.settings.clearance
-            columns = np.concatenate([6 * model.arms.index(arm) + np.arange(6) for arm in self.arms])
+            columns = np.concatenate([np.arange(model.home.size)[model.columns[arm]] for arm in self.arms])
             found = clearance.gradients_at(
                 model, model.stack(self.joints(points)), wanted + NEAR_M, self.resting
             )
             row.append(np.repeat(np.arange(len(found)), [len(near.distance) for near in found]))
             room += [near.distance - wanted for near in found]
             slope += [near.gradient[:, columns] for near in found]
-        for k, arm in enumerate(self.arms):
+        for arm, part in self.columns.items():
             rod = self.scene.chains[arm].robot.coupling
             if rod is None:
                 continue
             margin = max(self.scene.settings.joint_margin, 0.0)
-            axis3 = points[:, 6 * k + 1] + points[:, 6 * k + 2]
+            two, three = part.start + 1, part.start + 2
+            axis3 = points[:, two] + points[:, three]
             for sign, limit in ((1.0, rod.axis3_lower), (-1.0, rod.axis3_upper)):
                 row.append(np.arange(len(points)))
                 room.append(sign * (axis3 - limit) - margin)
                 own = np.zeros((len(points), points.shape[1]))
-                own[:, [6 * k + 1, 6 * k + 2]] = sign
+                own[:, [two, three]] = sign
                 slope.append(own)
         return Rooms(np.concatenate(row), np.concatenate(room), np.concatenate(slope))
 
@@ -418,8 +427,8 @@ class _Moving:
         share = np.linspace(0.0, 1.0, PACE_STEPS + 1)[:, None]
         points = way[:-1, None] + share * np.diff(way, axis=0)[:, None]
         out = np.zeros(len(way) - 1)
-        for k, arm in enumerate(self.arms):
-            pose = self.scene.chains[arm].pose(points[..., 6 * k : 6 * k + 6])
+        for arm, part in self.columns.items():
+            pose = self.scene.chains[arm].pose(points[..., part])
             gone = np.linalg.norm(np.diff(pose[..., :3, 3], axis=1), axis=-1).sum(axis=1)
             turn = np.swapaxes(pose[:, :-1, :3, :3], -1, -2) @ pose[:, 1:, :3, :3]
             turned = np.linalg.norm(log_rotation(turn), axis=-1).sum(axis=1)
@@ -458,7 +467,7 @@ def _straight(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ..
     way = line if not len(moving.blocked(line, False).move) else bent(line, moving.task)
     if way is None:
         return None
-    out = _apart(way, order)
+    out = _apart(scene, way, order)
     return out if moving.pace(way) < _pace_alone(scene, out) else None
 
 
@@ -482,7 +491,7 @@ def _at_once(scene: Scene, ways: Ways) -> Ways:
     pace = _pace_alone(scene, ways)
     if len(found) - 1 > MOST_MOVES or travel(found) > before + SAME_TRAVEL_RAD or moving.pace(found) >= pace:
         return ways
-    return _apart(found, ways.order)
+    return _apart(scene, found, ways.order)
 
 
 def _better(moving: _Moving, way: FloatArray, before: FloatArray) -> bool:
@@ -526,7 +535,7 @@ def _blocked(scene: Scene, targets: Targets, stuck: _Stuck, row: int) -> Issue:
     home, name = scene.chains[arm].home, targets.name(row)
     line = home + np.linspace(0.0, 1.0, 41)[:, None] * (goal - home)
     points = np.concatenate([home[None], goal[None], line])
-    rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in standing.items()} | {arm: points}
+    rows = {a: np.broadcast_to(v, (len(points), len(v))) for a, v in standing.items()} | {arm: points}
     if scene.model is None:
         raise ValueError("without a model nothing is in the way")
     found = clearance.least(scene.model, rows, 0.2)

@@ -118,17 +118,17 @@ _BY_NUMBER: Final = ("KUKA", "UR")
 def _unspoken(arms: Sequence[Arm]) -> list[Issue]:
     """Arms for whose controllers no programs are written (``post.language``)."""
     hint = f"plan with an arm of {' or '.join(LANGUAGES)}; check tells of its reach all the same"
-    return [
-        Issue(
-            "post.language",
-            f"arm {arm.name} ({arm.robot}) is of the family {arm.data.family}, whose language is not written "
-            f"yet; allowed are {', '.join(f'{family} ({word})' for family, word in LANGUAGES.items())}",
-            arm=arm.name,
-            hint=hint,
-        )
-        for arm in arms
-        if arm.data.family not in LANGUAGES
-    ]
+    allowed = ", ".join(f"{family} ({word})" for family, word in LANGUAGES.items())
+    out = []
+    for arm in arms:
+        if arm.data.family in LANGUAGES:
+            continue
+        what = f"is of the family {arm.data.family}, whose language is not written yet"
+        if arm.data.axes > 6:
+            what = "has seven axes, and no language that is written here states seven joints"
+        what = f"arm {arm.name} ({arm.robot}) {what}; allowed are {allowed}"
+        out.append(Issue("post.language", what, arm=arm.name, hint=hint))
+    return out
 
 
 def speaks_krl(arm: Arm) -> bool:
@@ -176,10 +176,13 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     for arm in arms:
         if arm.data.family not in _BY_NUMBER:
             continue
-        if speaks_urscript(arm) and any(lights_torch(o) and arm.name in o.arms for o in problem.operations):
+        torches = [o for o in problem.operations if lights_torch(o) and arm.name in o.arms]
+        if speaks_urscript(arm) and torches and together:
             issues.append(_no_torch(arm))
         elif speaks_urscript(arm):
+            known = {getattr(operation, "ok_signal", None) for operation in torches}
             inputs = (a for t in made for a in t.actions if a.kind == "input" and t.arms[0] == arm.name)
+            inputs = (action for action in inputs if action.signal not in known)
             issues += [
                 issue for action in itertools.islice(inputs, 1) for issue in no_input(action, arm.name).issues
             ]
@@ -204,10 +207,10 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
 
 
 def _no_torch(arm: Arm) -> Issue:
-    """Why an arm of UR cuts with no torch."""
-    what = f"arm {arm.name} ({arm.robot}) is to cut with a torch: a program of UR that was paused goes on "
-    what += "where it stood, in the slot, and nothing in it would see that the arc is out"
-    hint = "take an ABB or KUKA robot for it, or cut by a mill (by: {kind: mill})"
+    """Why an arm of UR cuts with no torch beside another one."""
+    what = f"arm {arm.name} ({arm.robot}) is to cut with a torch beside another arm of UR: while one of both "
+    what += "programs waits, nothing is known of how long the torch would burn at one place"
+    hint = "cut in a job of its own, with one arm, or by a mill (by: {kind: mill})"
     return Issue("post.controller", what, arm=arm.name, hint=hint)
 
 

@@ -21,7 +21,7 @@ from planner.problem import (
     BLIND_SPEED,
     FOLLOWING_WRITTEN,
     PLATE,
-    TILTS_WRITTEN,
+    STOCK,
     Arm,
     Controller,
     LinearTrack,
@@ -40,6 +40,13 @@ UPRIGHT: Final = 1e-9
 """Axes whose unit vectors are off the vertical by no more stand upright."""
 LEAST_SHARE: Final = 0.01
 """Least speed of an external axis in KRL, as a share of its own: $VEL_EXTAX takes whole percents."""
+MOST_KRL_TURN: Final = 358.0
+"""Farthest [deg] to either side that a KUKA controller lets a rotary axis go: software limits of one that is
+not infinite ($AXIS_TYPE 3; KR C2, machine data, 2.1.4)."""
+TURN_STEP: Final = 5.0 * DEG
+"""Turns are so far apart [rad] at which it is seen how far the block reaches from the tilt axis,"""
+BETWEEN: Final = 1.002
+"""and between them it reaches farther by this factor at most."""
 HOME_DECIMALS: Final = 4
 """Decimals [deg] of where a turntable stands at home, as programs write it."""
 
@@ -277,7 +284,8 @@ def _tilt_faults(spec: PositionerFile, bodies: Sequence[str]) -> list[tuple[str,
         out.append(("range_deg", f"got {low:g} to {high:g}; allowed: up to 180 either way"))
     if tilt.external_axis == spec.external_axis:
         letter = "abcdef"[tilt.external_axis - 1]
-        what = f"it is {tilt.external_axis} (eax_{letter}), as that of the turn axis; each axis has its own"
+        what = f"it is {tilt.external_axis} (eax_{letter}, E{tilt.external_axis}), as that of the turn axis; "
+        what += "each axis has its own"
         out.append(("external_axis", what))
     for name in tilt.bracket:
         if name not in bodies:
@@ -316,16 +324,18 @@ def turntable(
     for name, what in faults:
         told(name, what)
     names = {arm.name: arm for arm in arms}
-    known = AXES_WRITTEN if kind == "turntable" else TILTS_WRITTEN
     mover = names.get(arms[0].name if spec.arm is None else spec.arm)
     if mover is None:
         what = f"{spec.arm!r} is not an arm of the cell; it has {', '.join(names)}"
         told("arm", what, "problem.unknown_arm")
-    elif any(arm.data.family not in known for arm in arms):
-        other = next(arm for arm in arms if arm.data.family not in known)
+    elif any(arm.data.family not in AXES_WRITTEN for arm in arms):
+        other = next(arm for arm in arms if arm.data.family not in AXES_WRITTEN)
         what = f"arm {other.name} is of {other.data.family}; {kind}s are written for "
-        what += f"{' and '.join(known)} controllers alone; take the {kind} out, or take such arms"
+        what += f"{' and '.join(AXES_WRITTEN)} controllers alone; take the {kind} out, or take such arms"
         told("arm", what, "problem.turntable")
+    elif mover.data.family == "KUKA" and low < high and max(-low, high) > MOST_KRL_TURN:
+        what = f"got {low:g} to {high:g}; a KUKA controller has software limits of rotary axes up to "
+        told("range_deg", f"{what}{MOST_KRL_TURN:g} either way; give a range within, as [-180, 180]")
     if controller.sync == "handshake" and len(arms) > 1:
         what = f"with two controllers (handshake) a {kind} is not written yet; use one (sync: multimove)"
         told("unit", what, "problem.turntable")
@@ -451,19 +461,31 @@ def turntable_faults(problem: Problem) -> list[Issue]:
 
 
 def _fast(problem: Problem, table: Turntable) -> list[Issue]:
-    """A turntable that at the least speed of KRL takes what stands on it faster than people may be near."""
+    """Axes under the block that at the least speed of KRL take what they carry faster than people may be
+    near; the tilt axis at any turn."""
     from planner.cell import axis_way
 
-    places = [(setup, setup.stock.place) for setup in problem.setups]
-    rim = max(
-        (axis_way.rim(setup, place, table) for setup, place in places if place is not None), default=0.0
-    )
-    if LEAST_SHARE * table.speed * rim <= BLIND_SPEED:
-        return []
-    most = BLIND_SPEED / (LEAST_SHARE * rim) / DEG
-    what = f"the block reaches {rim / MM:.0f} mm from the turntable's axis, and a KUKA controller turns it "
-    what += (
-        f"at {LEAST_SHARE * table.speed / DEG:g} deg/s at least, one percent of its own, faster there than "
-    )
-    what += f"{BLIND_SPEED / MM:g} mm/s; make its own speed {most:.0f} deg/s or less in the machine data"
-    return [Issue("problem.turntable", what, field="cell.turntable.speed_deg_s")]
+    count = int(np.ceil((table.high - table.low) / TURN_STEP)) + 1
+    out = []
+    for name, axis in table.axes.items():
+        rim, tilts = 0.0, axis is table.tilt
+        for setup in (one.upright for one in problem.setups):
+            here = setup.stock.stands
+            for turn in np.linspace(table.low, table.high, count) if tilts else (here.get(STOCK, 0.0),):
+                if setup.stock.place is not None:
+                    place = table.placed(setup.stock.place, {**here, STOCK: float(turn)}, here)
+                    rim = max(rim, axis_way.rim(setup, place, table, name))
+        rim *= BETWEEN if tilts else 1.0
+        if LEAST_SHARE * axis.speed * rim <= BLIND_SPEED:
+            continue
+        most = np.floor(BLIND_SPEED / (LEAST_SHARE * rim) / DEG)
+        what = (
+            f"what {axis.label} takes along reaches {rim / MM:.0f} mm from its axis, and a KUKA controller "
+        )
+        what += f"turns it at {LEAST_SHARE * axis.speed / DEG:g} deg/s at least, one percent of its own, "
+        what += (
+            f"faster there than {BLIND_SPEED / MM:g} mm/s; make its own speed {most:.0f} deg/s or less in "
+        )
+        field = f"cell.{table.kind}.{'tilt.' if tilts else ''}speed_deg_s"
+        out.append(Issue("problem.turntable", f"{what}the machine data", field=field))
+    return out

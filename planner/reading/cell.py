@@ -18,7 +18,7 @@ from planner.problem import Arm, Cell, Obstacle, SagCompensation
 from planner.reading import axes
 from planner.reading.controller import ControllerFile, controllers
 from planner.reading.materials import WiresFile, wires_at_hand
-from planner.reading.robot_file import OwnRobotFile, robot_of
+from planner.reading.robot_file import OwnRobotFile, Posture, posture_fault, robot_of
 from planner.reading.strict_yaml import Angle, Choice, FileName, Name, Positive, Strict, Unit, Vector
 from planner.tooling import (
     BOW_SPAN,
@@ -348,8 +348,10 @@ class ArmFile(Strict):
     base_auto: bool = False
     tool: ToolFile
     home_deg: Annotated[
-        tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None,
-        Field(description="joints at home; none: the upper arm upright, the forearm level"),
+        Posture | None,
+        Field(
+            description="joints at home, one for each axis; none: the upper arm upright, the forearm level"
+        ),
     ] = None
     stiffness: Annotated[
         StiffnessFile | None, Field(description="none: the catalogue's, which has none for most robots")
@@ -408,12 +410,18 @@ def build(spec: CellFile, folder: Path) -> Cell:
                 for issue in error.issues
             ]
             raise TandemError(here) from error
+        if arm.home_deg is not None and (short := posture_fault(arm.home_deg, data.axes)):
+            what = f"home_deg: {short}"
+            raise TandemError(Issue("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name))
         home = data.home if arm.home_deg is None else data.from_controller(np.array(arm.home_deg) * DEG)
         if float(data.limit_margin(home)) < 0.0:
             raise TandemError(_outside(arm, number, data))
         mounted = tool(arm.tool, folder)
         if mounted.mass > data.payload:
             raise TandemError(too_heavy(arm.name, f"arms.{number}.tool", mounted, data))
+        if arm.stiffness is not None and data.axes != 6:
+            what = f"stiffness: is of six axes, {data.title} has {data.axes}; leave it out"
+            raise TandemError(Issue("problem.field", what, field=f"arms.{number}.stiffness", arm=arm.name))
         stiffness = data.stiffness if arm.stiffness is None else arm.stiffness.value()
         sag = None if arm.compensate_sag is None else arm.compensate_sag.value()
         if sag is not None and stiffness is None:
@@ -452,15 +460,19 @@ def _refuse_alike(arms: list[Arm]) -> None:
         if arm.given is None or arm.given.file is None:
             continue
         other = first.setdefault(arm.robot, arm.given)
-        if other.file is not None and (other.file.text, other.assumed, other.payload) != (
-            arm.given.file.text,
-            arm.given.assumed,
-            arm.given.payload,
-        ):
+        if _said(other) != _said(arm.given):
             what = f"name: {arm.robot!r} is another robot in another arm of the cell; name them apart"
             raise TandemError(
                 Issue("problem.duplicate_name", what, field=f"arms.{number}.robot.name", arm=arm.name)
             )
+
+
+def _said(robot: RobotData) -> tuple[object, ...]:
+    """What the words on a robot of the user's own make of it."""
+    file, coupling = robot.file, robot.coupling
+    links = () if file is None else (file.text, file.base, file.tip)
+    speeds_up, home = robot.acceleration.tolist(), robot.home.tolist()
+    return *links, robot.family, robot.payload, robot.assumed, coupling, speeds_up, home
 
 
 def _grippers(spec: CellFile) -> tuple[Gripper, ...]:

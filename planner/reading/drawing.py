@@ -33,6 +33,10 @@ class FileCurve:
     points: FloatArray
     closed: bool
 
+    def run(self) -> FloatArray:
+        """Points (K, 3) from its begin to its end: a closed one ends where it began."""
+        return np.concatenate([self.points, self.points[:1]]) if self.closed else self.points.copy()
+
 
 def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[list[FileCurve], list[Issue]]:
     """Curves of a drawing's model space, lengths in ``unit`` metres, and notes of what was left out.
@@ -84,11 +88,12 @@ def _flat(entity: Any, ezpath: Any, unit: float) -> FloatArray:
 
 
 def joined(pieces: list[FloatArray]) -> list[FileCurve]:
-    """Curves made of pieces whose ends meet, in the order of the file."""
+    """Curves made of pieces whose ends meet, in the order of the file: each is run as the first of its pieces
+    is drawn, and one that is closed begins with that."""
     left = list(pieces)
     out = []
     while left:
-        chain = left.pop(0)
+        first = chain = left.pop(0)
         grown = True
         while grown and not _shut(chain):
             grown = False
@@ -101,8 +106,19 @@ def joined(pieces: list[FloatArray]) -> list[FileCurve]:
                     left.pop(i)
                     break
         closed = _shut(chain)
-        out.append(FileCurve(chain[:-1] if closed else chain, closed))
+        points = chain[:-1] if closed else chain
+        out.append(FileCurve(points if chain is first else _run_as(points, closed, first), closed))
     return out
+
+
+def _run_as(points: FloatArray, closed: bool, first: FloatArray) -> FloatArray:
+    """The points (N, 3) of a curve in the direction in which those of its piece ``first`` are."""
+    count = len(points)
+    for way in (points, points[::-1]):
+        for at in np.flatnonzero((way == first[0]).all(axis=1)):
+            if (at + 1 < count or closed) and (way[(at + 1) % count] == first[1]).all():
+                return np.asarray(np.roll(way, -at, axis=0) if closed else way)
+    return points
 
 
 def _shut(points: FloatArray) -> bool:

@@ -21,6 +21,7 @@ from planner.geometry.mesh_files import MAX_MESH_BYTES, PLAIN_SUFFIXES, read_mes
 from planner.geometry.thinning import creased, joined
 from planner.geometry.units import DEG, MM
 from planner.issues import TandemError
+from planner.reading.dae import DAE_SUFFIX, Colour, read_dae
 from planner.reading.urdf import UrdfChain, UrdfShape
 
 MOST_TRIANGLES: Final = 30_000
@@ -33,12 +34,16 @@ CREASE: Final = 30.0 * DEG
 """Edges between faces that are turned by about twice as much are seen as edges."""
 NEUTRAL: Final = (0.70, 0.72, 0.75)
 """Red, green, blue of what has no colour in the URDF."""
+SEEN_SUFFIXES: Final = (*PLAIN_SUFFIXES, DAE_SUFFIX)
+"""Files of meshes that are read to be seen."""
 NOT_THERE: Final = "not there"
-NOT_READ: Final = "no OBJ, STL or PLY"
+NOT_READ: Final = "no OBJ, STL, PLY or DAE"
 TOO_LARGE: Final = f"with those before it more than {MAX_MESH_BYTES / 1e6:.0f} MB"
 
 _Named = tuple[str, int, int, tuple[float, ...]]
 """A mesh file: its path, its time of change [ns], its bytes, and how it is stretched."""
+_Coloured = tuple[Mesh, Colour | None]
+"""A mesh and its own colour, None of files that have none."""
 
 
 def carried(files: Mapping[str, Path | None]) -> dict[str, Path]:
@@ -64,13 +69,15 @@ def looks(
     faults = {owner: f"a <visual> of the link {owner} ({why})" for owner, why in chain.unseen}
     seen: dict[str, list[Look]] = {}
     for one, mesh in zip(chain.visuals, meshes, strict=True):
+        own = seen.setdefault(one.owner, [])
         if isinstance(mesh, str):
             faults.setdefault(one.owner, f"{one.file} ({mesh})")
-            continue
-        size = () if one.kind == "mesh" else one.size
-        points = (None, None) if mesh is None else (mesh.vertices, mesh.faces)
-        shape = Shape(one.kind, size, one.pose, *points)  # type: ignore[arg-type]
-        seen.setdefault(one.owner, []).append(Look(shape, one.color or NEUTRAL))
+        elif mesh is None:
+            shape = Shape(one.kind, one.size, one.pose)  # type: ignore[arg-type]
+            own.append(Look(shape, one.color or NEUTRAL))
+        else:  # a file's own colours count before the URDF's, as in ROS's viewers
+            shapes_of = [(Shape("mesh", (), one.pose, m.vertices, m.faces), colour) for m, colour in mesh]
+            own += [Look(shape, colour or one.color or NEUTRAL) for shape, colour in shapes_of]
     shown = {owner: own for owner, own in seen.items() if owner not in faults}
     told = tuple(faults.values())
     if not shown:
@@ -92,11 +99,11 @@ def _link(
     return tuple(out)
 
 
-def _meshes(chain: UrdfChain, files: Mapping[str, Path | None]) -> list[Mesh | str | None]:
-    """Of each visual its mesh [m], as it is shown, None of boxes and the like, or why there is none."""
+def _meshes(chain: UrdfChain, files: Mapping[str, Path | None]) -> list[tuple[_Coloured, ...] | str | None]:
+    """Of each visual its meshes [m], as they are shown, None of boxes and the like, or why there are none."""
     there = carried(files)
     named: list[_Named] = []
-    out: list[Mesh | str | None] = []
+    out: list[str | None] = []
     for one in chain.visuals:
         if one.kind == "mesh" and one.file in there:
             named.append(_named(there[one.file], one))
@@ -112,13 +119,13 @@ def _why(path: Path | None) -> str:
     """Why a mesh is none of :func:`carried`."""
     if path is None:
         return NOT_THERE
-    if path.suffix.lower() not in PLAIN_SUFFIXES:
+    if path.suffix.lower() not in SEEN_SUFFIXES:
         return NOT_READ
     return TOO_LARGE if _readable(path) else "may not be read"
 
 
 def _readable(path: Path) -> bool:
-    return path.suffix.lower() in PLAIN_SUFFIXES and os.access(path, os.R_OK)
+    return path.suffix.lower() in SEEN_SUFFIXES and os.access(path, os.R_OK)
 
 
 def _named(path: Path, one: UrdfShape) -> _Named:
@@ -127,28 +134,44 @@ def _named(path: Path, one: UrdfShape) -> _Named:
 
 
 @functools.lru_cache(maxsize=4)
-def _shown(named: tuple[_Named, ...]) -> tuple[Mesh | str, ...]:
-    """The meshes of a robot, thinned out, or why there is none; kept, for a problem is read several times."""
+def _shown(named: tuple[_Named, ...]) -> tuple[tuple[_Coloured, ...] | str, ...]:
+    """The meshes of a robot's files, thinned out, or why there are none; kept, for a problem is read several
+    times."""
     known = {one: _read(Path(one[0]), one[3]) for one in dict.fromkeys(named)}
     given = [known[one] for one in named]
-    meshes = _few([one for one in given if isinstance(one, Mesh)])
+    whole = [mesh for one in given if not isinstance(one, str) for mesh, _ in one]
+    meshes = _few(whole)
     if meshes is None:
-        count = sum(len(one.faces) for one in given if isinstance(one, Mesh))
+        count = sum(len(mesh.faces) for mesh in whole)
         what = f"{count:,} triangles of the robot, more than {MOST_TRIANGLES:,} also where thinned out"
         return tuple(one if isinstance(one, str) else what for one in given)
     fine = iter(creased(mesh, CREASE) for mesh in meshes)
-    return read_only(tuple(one if isinstance(one, str) else next(fine) for one in given))
+    out: list[tuple[_Coloured, ...] | str] = []
+    for one in given:
+        if not isinstance(one, str):
+            shown = [(next(fine), colour) for _, colour in one]
+            one = tuple((mesh, colour) for mesh, colour in shown if len(mesh.faces))
+        out.append(one)
+    return read_only(tuple(out))
 
 
-def _read(path: Path, scale: tuple[float, ...]) -> Mesh | str:
-    """A mesh [m], or why it cannot be had."""
+def _read(path: Path, scale: tuple[float, ...]) -> tuple[_Coloured, ...] | str:
+    """The meshes [m] of a file, or why they cannot be had."""
     most = max(abs(v) for v in scale)
     try:
-        mesh = read_mesh(path, 1.0, most)
+        if path.suffix.lower() == DAE_SUFFIX:
+            found = [(one.mesh, one.color) for one in read_dae(path, most)]
+        else:
+            found = [(read_mesh(path, 1.0, most), None)]
     except TandemError as error:
         return error.issues[0].message
-    faces = mesh.faces if np.prod(scale) > 0.0 else mesh.faces[:, ::-1]
-    return Mesh(mesh.vertices * (np.array(scale) / most), faces)
+    except (OSError, ValueError) as error:
+        return getattr(error, "strerror", None) or str(error)
+    out = []
+    for mesh, colour in found:
+        faces = mesh.faces if np.prod(scale) > 0.0 else mesh.faces[:, ::-1]
+        out.append((Mesh(mesh.vertices * (np.array(scale) / most), faces), colour))
+    return tuple(out)
 
 
 def _few(meshes: list[Mesh]) -> list[Mesh] | None:

@@ -1,9 +1,10 @@
 """From a chain of joints to an arm of a known form: lengths, offsets and signs, found from its axes.
 
 The forms are that of Brandstoetter, Angerer, Hofbaur (2014), an ortho-parallel basis and a
-spherical wrist, the same with axis 6 beside the wrist's point, and that of three parallel axes as
-UR's. What is found is held against the chain itself on 1,000 postures, and arms of other forms are
-told by class. All is worked out from axes, never read from names or other files.
+spherical wrist, the same with axis 6 beside the wrist's point, that of three parallel axes as
+UR's, and that of seven axes as a Panda's and an iiwa's. What is found is held against the chain
+itself on 1,000 postures, and arms of other forms are told by class. All is worked out from axes,
+never read from names or other files.
 """
 
 from __future__ import annotations
@@ -14,7 +15,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.catalogue.robots import ArmForm, OffsetParameters, OpwParameters, ParallelParameters
+from planner.catalogue.robots import (
+    ArmForm,
+    OffsetParameters,
+    OpwParameters,
+    ParallelParameters,
+    SevenParameters,
+)
 from planner.cell.kinematics import flange_poses
 from planner.geometry.arrays import FloatArray, from_parts, from_rpy, inverse, log_rotation
 from planner.geometry.units import DEG, MM
@@ -54,9 +61,9 @@ def fit(chain: UrdfChain) -> ArmFit:
     issues = [issue for issue in (_class_fault(chain),) if issue is not None] + limit_faults(chain)
     if issues:
         raise TandemError(issues)
-    form = _three_parallel(chain) if _parallel(chain.axis[2], chain.axis[3]) else _parameters(chain)
+    form = _form(chain)
     rng = np.random.default_rng(_SEED)
-    q = rng.uniform(chain.lower, chain.upper, size=(POSTURES, 6))
+    q = rng.uniform(chain.lower, chain.upper, size=(POSTURES, form.count))
     tip = chain.tip(q)
     off = _apart(flange_poses(form, q), tip)
     if not (off[0] <= MOST_OFF and off[1] <= MOST_TURNED):
@@ -80,6 +87,12 @@ def fit(chain: UrdfChain) -> ArmFit:
     return ArmFit(form, off, _apart(chain.tip(q, written=True), tip))
 
 
+def _form(chain: UrdfChain) -> ArmForm:
+    if len(chain.axis) == 7:
+        return _seven(chain)
+    return _three_parallel(chain) if _parallel(chain.axis[2], chain.axis[3]) else _parameters(chain)
+
+
 def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
     """Greatest distance [m] and angle [rad] between poses (B, 4, 4)."""
     way = np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1)
@@ -91,6 +104,7 @@ _KINDS: Final = {
     OpwParameters: "a spherical wrist",
     OffsetParameters: "an offset wrist",
     ParallelParameters: "three parallel axes, as those of UR",
+    SevenParameters: "seven axes, as a Panda or an iiwa",
 }
 
 
@@ -109,7 +123,8 @@ def _class_fault(chain: UrdfChain) -> Issue | None:
         f"the arm from {chain.links[0]!r} on is {what}; allowed are six revolute joints: axis 1 square to "
         "axis 2, 2 parallel to 3, and 3, 4, 5, 6 each square to the one before, with 4 and 5 through one "
         "point (off the plane of axis 1 only where 6 is through it too), or 2, 3, 4 parallel, 1 through 2, "
-        "and 5 square to 4 and 6 and through both",
+        "and 5 square to 4 and 6 and through both; or seven, each square to the one before, 1, 2 and 3 "
+        "through one point, 5 and 6 through another, and neither this nor axis 7 beside the plane of the arm",
         field="urdf",
         hint=hint,
     )
@@ -119,18 +134,16 @@ _OTHER: Final = (
     "take an arm with a spherical or an offset wrist or one as UR's; this class is not planned for yet"
 )
 _SEVEN: Final = (
-    "no joint is searched for beside six: make the third joint fixed in a copy of the URDF, and the arm is "
-    "planned with the six that are left where they are of a class that is known"
+    "make the third joint fixed in a copy of the URDF: the arm is planned with the six that are left where "
+    "they are of a class that is known"
 )
 
 
 def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
     count = len(w)
     if count == 7:
-        # axes 1 and 3 (5 and 7) lie on one line at zero: meet by pairs that are not parallel
-        ball = _meet(w, p, (0, 1, 2)) and _meet(w, p, (4, 5, 6))
-        kind = "seven axes, its shoulder and its wrist each in one point" if ball else "seven axes"
-        return f"an arm with {kind}", _SEVEN
+        what = _not_as_panda(w, p)
+        return None if what is None else (f"an arm with seven axes {what}", _SEVEN)
     if count == 5:
         return "an arm with five axes", "name the flange behind the sixth axis as tip; " + _OTHER
     if count > 7:
@@ -167,6 +180,23 @@ def _not_as_ur(w: FloatArray, p: FloatArray) -> str | None:
         if not _meet(w, p, (a, b)):
             return f"whose axes {a + 1} and {b + 1} do not meet"
     return None
+
+
+def _not_as_panda(w: FloatArray, p: FloatArray) -> str | None:
+    """What an arm with seven axes has otherwise than a Panda or an iiwa; None where it is as these."""
+    for a in range(6):
+        if abs(float(w[a] @ w[a + 1])) > AXES_SQUARE:
+            return f"whose axes {a + 1} and {a + 2} are not square"
+    if not _meet(w, p, (0, 1, 2)):  # 1 and 3 lie on one line at zero: meet by a pair that is not parallel
+        return "whose axes 1, 2 and 3 do not meet"
+    if not _meet(w, p, (4, 5)):
+        return "whose axes 5 and 6 do not meet"
+    shoulder = _nearest(p[1], w[1], p[2], w[2])
+    wrist = _nearest(p[4], w[4], p[5], w[5])
+    off = [abs(float((wrist - shoulder) @ w[3])), abs(float((p[6] - wrist) @ w[5]))]
+    if off[0] > AXES_MEET:
+        return f"of which axis 5 passes {off[0] / MM:.4g} mm beside the upper arm, along axis 4"
+    return f"of which axis 7 is {off[1] / MM:.4g} mm off along axis 6" if off[1] > AXES_MEET else None
 
 
 def _parallel(a: FloatArray, b: FloatArray) -> bool:
@@ -293,6 +323,74 @@ def _three_parallel(chain: UrdfChain) -> ParallelParameters:
         left=None if np.abs(left - np.eye(4)).max() < _LENGTH else left,
     )
     right = _clean(inverse(flange_poses(form, np.zeros(6))) @ tip)
+    same = np.abs(right - np.eye(4)).max() < MOST_OFF
+    return form if same else dataclasses.replace(form, right=right)
+
+
+def _seven(chain: UrdfChain) -> SevenParameters:
+    """Lengths, offsets and signs from axes w and points p at zero; the form's base at zero has z along axis
+    1, from the URDF's base to the shoulder, and y along axis 2."""
+    w, p, tip = chain.axis, chain.zero[1:8, :3, 3], chain.zero[8]
+    shoulder, wrist = _nearest(p[1], w[1], p[2], w[2]), _nearest(p[4], w[4], p[5], w[5])
+    foot, side, up = _base_axes(w, p[0], shoulder)
+    left = _base(foot, side if side[1] >= 0.0 else -side, up)
+    frame = inverse(left)
+    axes = w @ frame[:3, :3].T
+    points = p @ frame[:3, :3].T + frame[:3, 3]
+    shoulder, wrist = (frame[:3, :3] @ x + frame[:3, 3] for x in (shoulder, wrist))
+    flange = frame @ tip
+    theta, signs, turn = np.zeros(7), np.ones(7), np.eye(3)  # turn: of the link before, as far as it is known
+    signs[0], signs[1] = np.sign(w[0] @ up), np.sign(axes[1, 1])
+
+    def next_z(axis: FloatArray, sign: float) -> float:
+        """By how much the frame turns about its y until its z is along an axis."""
+        seen = turn.T @ (sign * axis)
+        return float(np.arctan2(seen[0], seen[2]))
+
+    def next_y(axis: FloatArray, sign: float) -> float:
+        """By how much the frame turns about its z until its y is along an axis."""
+        seen = turn.T @ (sign * axis)
+        return float(np.arctan2(-seen[0], seen[1]))
+
+    def turned(about: str, angle: float) -> FloatArray:
+        rpy = [0.0, angle, 0.0] if about == "y" else [0.0, 0.0, angle]
+        return np.asarray(turn @ from_rpy([0.0, 0.0, 0.0], rpy)[:3, :3])
+
+    # the upper arm goes from the shoulder up axis 3, the forearm from the elbow to the wrist up axis 5
+    signs[2] = 1.0 if (points[3] - shoulder) @ axes[2] >= 0.0 else -1.0
+    theta[1] = next_z(axes[2], signs[2])
+    turn = turned("y", theta[1])
+    signs[3] = 1.0 if axes[3] @ turn[:, 1] >= -1e-9 else -1.0  # so that joint 3 is turned least at zero
+    theta[2] = next_y(axes[3], signs[3])
+    turn = turned("z", theta[2])
+    upper = turn.T @ (points[3] - shoulder)
+    signs[4] = 1.0 if (wrist - points[3]) @ axes[4] >= 0.0 else -1.0
+    theta[3] = next_z(axes[4], signs[4])
+    turn = turned("y", theta[3])
+    fore = turn.T @ (wrist - points[3])
+    reach = float((flange[:3, 3] - wrist) @ axes[6])
+    signs[6] = 1.0 if (reach if abs(reach) > 1e-6 else flange[:3, 2] @ axes[6]) >= 0.0 else -1.0
+    signs[5] = 1.0 if axes[5] @ turn[:, 1] >= -1e-9 else -1.0
+    theta[4] = next_y(axes[5], signs[5])
+    turn = turned("z", theta[4])
+    theta[5] = next_z(axes[6], signs[6])
+    turn = turned("y", theta[5])
+    hand = turn.T @ (points[6] - wrist)
+    seen = turn.T @ flange[:3, :3]
+    theta[6] = np.arctan2(seen[1, 0], seen[0, 0]) if seen[2, 2] > 1.0 - AXES_SQUARE else 0.0
+    form = SevenParameters(
+        a2=_metres(upper[0]),
+        a3=_metres(fore[0]),
+        a4=_metres(hand[0]),
+        c1=_metres(shoulder[2]),
+        c2=_metres(upper[2]),
+        c3=_metres(fore[2]),
+        c4=_metres(signs[6] * reach),
+        offsets=_degrees(-np.arctan2(np.sin(theta), np.cos(theta))),
+        signs=signs,
+        left=None if np.abs(left - np.eye(4)).max() < _LENGTH else left,
+    )
+    right = _clean(inverse(flange_poses(form, np.zeros(7))) @ tip)
     same = np.abs(right - np.eye(4)).max() < MOST_OFF
     return form if same else dataclasses.replace(form, right=right)
 

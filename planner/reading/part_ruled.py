@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -142,25 +142,33 @@ class GuideFile(Strict):
     corners_mm: Annotated[tuple[Vector, ...], Field(max_length=1000)] | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> GuideFile:
+    def _one(self) -> Self:
         given = [self.polyline_mm, self.bspline_mm, self.bezier_mm, self.dxf, self.rhino]
         if sum(kind is not None for kind in given) != 1:
             raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf and rhino")
         return self
 
     def looked_up(self, folder: Path) -> GuideFile:
-        """The same with its drawing, where it has one, named from anywhere."""
-        if self.dxf is None:
-            return self
-        file = str(folder / self.dxf.file)
-        return self.model_copy(update={"dxf": self.dxf.model_copy(update={"file": file})})
+        """The same with its file, where it has one, named from anywhere."""
+        return self.model_copy(update=self._files(folder))
+
+    def _files(self, folder: Path) -> dict[str, DxfFile | RhinoFile]:
+        given = {"dxf": self.dxf, "rhino": self.rhino}
+        return {
+            key: spec.model_copy(update={"file": str(folder / spec.file)})
+            for key, spec in given.items()
+            if spec is not None
+        }
 
     def drawn(self) -> DrawnCurve:
-        """The curve for claims; raises ``ValueError`` for one of a Rhino file."""
+        """The curve for claims."""
         for kind in ("polyline", "bspline", "bezier"):
             points = getattr(self, f"{kind}_mm")
             if points is not None:
                 return DrawnCurve(kind, tuple(points))
+        if (own := self.rhino) is not None:
+            file = Path(own.file)
+            return DrawnCurve("rhino", (), file, own.unit or "", own.layer, None, own.name, own.colour)
         if self.dxf is None:
             raise ValueError("a curve needs points or a file")
         return DrawnCurve("dxf", (), Path(self.dxf.file), self.dxf.unit, self.dxf.layer, self.dxf.z_mm)
@@ -255,8 +263,9 @@ def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[
     return resample(ruled, 0.5e-5, 1.0), notes
 
 
-def guide(spec: GuideFile, closed: bool, folder: Path, field: str) -> tuple[Guide, list[Issue]]:
-    """The guide in SI units, and notes. Raises ``TandemError``: issues of DXF and Rhino files,
+def guide(spec: GuideFile, closed: bool | None, folder: Path, field: str) -> tuple[Guide, list[Issue]]:
+    """The guide in SI units, and notes. ``closed`` None: a curve of a file may be either, and one that is
+    closed ends where it began. Raises ``TandemError``: issues of DXF and Rhino files,
     ``part.guide``."""
     own, notes = _raw(spec, closed, folder, field)
     if len(own.points) < (3 if closed else 2) or own.length < 1e-3:
@@ -273,8 +282,8 @@ def guide(spec: GuideFile, closed: bool, folder: Path, field: str) -> tuple[Guid
     return own, notes
 
 
-def _raw(spec: GuideFile, closed: bool, folder: Path, field: str) -> tuple[Guide, list[Issue]]:
-    angle = spec.corner_deg * DEG
+def _raw(spec: GuideFile, wanted: bool | None, folder: Path, field: str) -> tuple[Guide, list[Issue]]:
+    angle, closed = spec.corner_deg * DEG, wanted is True
     if spec.polyline_mm is not None:
         return polyline(np.array(spec.polyline_mm) * MM, closed, angle), []
     if spec.bspline_mm is not None:
@@ -292,12 +301,13 @@ def _raw(spec: GuideFile, closed: bool, folder: Path, field: str) -> tuple[Guide
         code, place, file, height = "part.dxf", f"{field}.dxf", spec.dxf.file, spec.dxf.z_mm
     else:
         raise ValueError("a guide needs points")
-    if len(found) != 1 or found[0].closed != closed:
+    if len(found) != 1 or (wanted is not None and found[0].closed != closed):
         kind = "closed" if closed else "open"
         got = f"{len(found)} curves" if len(found) != 1 else f"a curve that is not {kind}"
-        said = f"{file}: holds {got}{asked}, one {kind} curve is wanted; {what}"
+        kind = "" if wanted is None else f"{kind} "
+        said = f"{file}: holds {got}{asked}, one {kind}curve is wanted; {what}"
         raise TandemError(Issue(code, said, field=place))
-    points = found[0].points.copy()
+    points = found[0].run() if wanted is None else found[0].points.copy()
     if height is not None:
         points[:, 2] = height * MM
     return polyline(points, closed, angle), notes

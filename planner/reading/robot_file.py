@@ -24,6 +24,7 @@ from planner.catalogue.robots import (
     RobotData,
     RobotFile,
     RodCoupling,
+    SevenParameters,
 )
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, read_only
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 FULL_SPEED_AFTER: Final = 0.4
 """Time [s] from rest to full speed of every axis where none is stated: that of the largest arms built in."""
+LEAN: Final = 15.0 * DEG
+"""How far [rad] the upper arm of an arm with seven axes leans at home where none is stated."""
 FAMILIES: Final[Mapping[str, tuple[Family, str]]] = {
     "abb": ("ABB", "IRC5"),
     "kuka": ("KUKA", "KRC4"),
@@ -46,6 +49,10 @@ FAMILIES: Final[Mapping[str, tuple[Family, str]]] = {
     "generic": ("generic", "not stated"),
 }
 """Families of controllers, with the controller where none is stated."""
+
+
+Posture = Annotated[tuple[Angle, ...], Field(min_length=6, max_length=7)]
+"""Joints of an arm: one angle for each of its axes."""
 
 
 class LinkMeshFile(Strict):
@@ -81,7 +88,7 @@ class OwnRobotFile(Strict):
         Field(description="of a parallel rod: range of the controller's axis 3, which is axis 2 + axis 3"),
     ] = None
     home_deg: Annotated[
-        tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None,
+        Posture | None,
         Field(description="serial joints at home; none: the upper arm upright, the forearm level"),
     ] = None
     left_out: Annotated[
@@ -115,6 +122,8 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     chain = read_chain(text, spec.base, spec.tip)
     found = fit(chain)
     issues = [*_key_faults(spec, chain, found.form)]
+    if spec.home_deg is not None and (short := posture_fault(spec.home_deg, found.form.count)):
+        issues.append(Issue("problem.field", f"home_deg: {short}", field="home_deg"))
     shapes = _shapes(spec, chain, path, folder, issues)
     if issues:
         raise TandemError(issues)
@@ -152,6 +161,13 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     return data
 
 
+def posture_fault(joints: Sequence[float], axes: int) -> str | None:
+    """What is wrong with how many joints a posture has, for an arm of so many axes; None where nothing is."""
+    if len(joints) == axes:
+        return None
+    return f"got {len(joints)} angles, the robot has {axes} axes; state one angle for each"
+
+
 def read_urdf(path: Path) -> str:
     """The text of a file. Raises :class:`TandemError`: ``problem.missing_file``, ``problem.too_large``, or
     ``robot.urdf`` for what is not UTF-8."""
@@ -175,10 +191,18 @@ def _key_faults(spec: OwnRobotFile, chain: UrdfChain, form: ArmForm) -> Iterator
         what = (
             f"family: got {spec.family}, whose programs name postures of arms with a spherical wrist; this "
         )
-        what += "arm has none; write ur or generic"
+        what += (
+            "arm has none; write generic"
+            if isinstance(form, SevenParameters)
+            else "arm has none; write ur or generic"
+        )
         yield Issue("problem.field", what, field="family")
-    if spec.coupled_deg is not None and isinstance(form, OffsetParameters):
-        what = "coupled_deg: no arm with an offset wrist has a parallel rod; leave it out"
+    if spec.family == "ur" and isinstance(form, SevenParameters):
+        what = "family: got ur, whose arms have six axes; this one has seven: write generic"
+        yield Issue("problem.field", what, field="family")
+    if spec.coupled_deg is not None and isinstance(form, OffsetParameters | SevenParameters):
+        kind = "an offset wrist" if isinstance(form, OffsetParameters) else "seven axes"
+        what = f"coupled_deg: no arm with {kind} has a parallel rod; leave it out"
         yield Issue("problem.field", what, field="coupled_deg")
     beside = [name for name in chain.beside if name not in spec.left_out]
     if beside:
@@ -208,7 +232,7 @@ def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: ArmFit) -> Iterator[st
     if spec.coupled_deg is None:
         yield "coupling: assumed, none"
     if spec.home_deg is None:
-        yield "home: assumed, the upper arm upright and the forearm level"
+        yield f"home: assumed, {home_words(found.form)}"
     if max(found.snapped) > 1e-9:
         off = f"{found.snapped[0] / MM:.2g} mm, {found.snapped[1]:.2g} rad at the tip"
         yield f"angles of the URDF: taken as multiples of 15 deg where they are nearly that, at most {off}"
@@ -217,17 +241,31 @@ def _assumed(spec: OwnRobotFile, chain: UrdfChain, found: ArmFit) -> Iterator[st
     yield from chain.notes
 
 
+def home_words(form: ArmForm) -> str:
+    """What the posture at home is like where none is stated."""
+    if isinstance(form, SevenParameters):
+        return f"the upper arm leant by {LEAN / DEG:g} deg, the elbow square and the flange downwards"
+    return "the upper arm upright and the forearm level"
+
+
 def _home(form: ArmForm, chain: UrdfChain) -> FloatArray:
-    """Serial joints (6,) [rad]: upper arm upright, forearm level, all others at zero; of an arm without a
-    spherical wrist the flange downwards; in the limits."""
-    q = np.zeros(6)
+    """Serial joints (J,) [rad]: upper arm upright, forearm level, all others at zero; of an arm without a
+    spherical wrist the flange downwards; in the limits. Of one with seven axes all as in that form, the upper
+    arm leant by :data:`LEAN` off the posture in which axes 1 and 3 are in line."""
+    if isinstance(form, SevenParameters):
+        theta = (0.0, LEAN, 0.0, 0.5 * np.pi, 0.0, 0.5 * np.pi - LEAN, 0.0)
+        bent = form.signs * (np.array(theta) + form.offsets)
+        q = np.arctan2(np.sin(bent), np.cos(bent)) + 0.0
+        q[-1] = 0.5 * (chain.lower[-1] + chain.upper[-1])
+        return np.clip(q, chain.lower, chain.upper)
+    q = np.zeros(form.count)
     hand: tuple[tuple[int, float], ...] = ((3, 0.0), (4, -0.5 * np.pi))
     if isinstance(form, OpwParameters):
         hand = ()
     if isinstance(form, OffsetParameters):
         hand = ((3, 0.0), (4, 0.5 * np.pi))
-    for axis, theta in ((1, 0.0), (2, 0.5 * np.pi), *hand):
-        angle = form.signs[axis] * (theta + form.offsets[axis])
+    for axis, wanted in ((1, 0.0), (2, 0.5 * np.pi), *hand):
+        angle = form.signs[axis] * (wanted + form.offsets[axis])
         q[axis] = np.arctan2(np.sin(angle), np.cos(angle)) + 0.0
     return np.clip(q, chain.lower, chain.upper)
 

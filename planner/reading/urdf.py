@@ -157,7 +157,7 @@ def _root(text: str) -> ET.Element:
         root = ET.fromstring(text)
     except ET.ParseError as error:
         raise _no_urdf(f"is not XML ({error})", "write it again") from None
-    if "xacro" in text and any(str(element.tag).startswith("{") for element in root.iter()):
+    if any(str(element.tag).startswith("{") and "xacro" in str(element.tag) for element in root.iter()):
         raise _no_urdf("is a xacro file, of which a URDF is still to be made", "xacro FILE.xacro > FILE.urdf")
     if root.tag != "robot":
         raise _no_urdf(f"begins with <{root.tag}>; a URDF begins with <robot>", "give the URDF of a robot")

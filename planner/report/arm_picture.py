@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from planner.catalogue.robots import RobotData
-from planner.cell.bodies import body_poses
+from planner.cell.bodies import body_poses, link_chain
 from planner.geometry.arrays import FloatArray, Shape
 from planner.report import markup, raster
 from planner.report.raster import Solid, Thing
@@ -34,14 +34,14 @@ def drawing(robot: RobotData) -> str:
     if robot.file is None:
         raise ValueError(f"{robot.name} is not from a file")
     poses = body_poses("arm", robot, np.eye(4), robot.home[None])
-    names = ("base_link", *(f"link_{i}" for i in range(1, 7)))
+    names = link_chain(robot.axes)[:-1]
     things = [
         Thing(_solid(shape).moved(poses[f"arm/{name}"][0] @ shape.pose), _PAINT[i % 2], closed=False)
         for i, (name, shapes) in enumerate(zip(names, robot.file.shapes, strict=True))
         for shape in shapes
     ]
     frames = np.concatenate([poses[f"arm/{name}"] for name in names[1:]])
-    zero = robot.file.zero[1:7, :3, :3]
+    zero = robot.file.zero[1:-1, :3, :3]
     axes = np.einsum("iab,icb,ic->ia", frames[:, :3, :3], zero, robot.file.axis)  # turned with the links
     points, tip = _apart(frames[:, :3, 3], axes), poses["arm/tool"][0]
     half = 0.14 * robot.reach

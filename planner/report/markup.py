@@ -444,7 +444,7 @@ body{margin:0;background:var(--bg);color:var(--ink);
 font:15px/1.5 "Inter","Segoe UI",system-ui,-apple-system,"Helvetica Neue",
 Arial,sans-serif;font-feature-settings:"tnum"}
 main{max-width:1180px;margin:0 auto;padding:28px 24px 60px}
-h1{font-size:27px;line-height:1.2;margin:0;font-weight:650;letter-spacing:-.01em}
+h1{font-size:27px;line-height:1.2;margin:0;font-weight:650;letter-spacing:-.01em;overflow-wrap:anywhere;min-width:0}
 h2{font-size:18px;margin:0 0 14px;font-weight:650;letter-spacing:-.005em}
 h3{font-size:14px;margin:20px 0 8px;font-weight:600;color:var(--soft)}
 p{margin:0 0 10px}.soft,.note{color:var(--soft)}.note{font-size:13px;margin:6px 0 0}

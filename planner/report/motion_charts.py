@@ -203,7 +203,7 @@ def _planned(problem: Problem, plan: Plan, starts: list[float]) -> dict[str, Arm
         time = np.concatenate([op.time + t for op, t in used])
         q = np.concatenate([op.q[arm.name] for op, _ in used])
         step = np.maximum(np.diff(time), 1e-9)
-        speed = np.concatenate([np.zeros((1, 6)), np.diff(q, axis=0) / step[:, None]])
+        speed = np.concatenate([np.zeros((1, q.shape[1])), np.diff(q, axis=0) / step[:, None]])
         speed[np.concatenate([[True], np.diff(time) < 1e-6])] = 0.0
         out[arm.name] = ArmMotion(arm.data, time, q, speed, None)
     return out
@@ -465,9 +465,9 @@ def margins(motion: Motion, settings: Settings, proof: Proof | None) -> list[Fig
 
 
 def joints(name: str, arm: ArmMotion, motion: Motion) -> list[Figure]:
-    """Six small charts of an arm's joint angles with their limits [deg]."""
+    """Small charts of an arm's joint angles with their limits [deg], one for each axis."""
     out = []
-    for k in range(6):
+    for k in range(arm.robot.axes):
         lower, upper = arm.robot.lower[k] / DEG, arm.robot.upper[k] / DEG
         angle = arm.q[:, k] / DEG
         low, high = float(angle.min()), float(angle.max())
@@ -504,7 +504,7 @@ def speeds(name: str, arm: ArmMotion, motion: Motion, settings: Settings) -> lis
     for what, value, limit, fraction in shares:
         share = 100.0 * np.abs(value) / limit
         most = float(np.nanmax(share))
-        lines = [Line(f"axis {k + 1}", arm.time, share[:, k], k) for k in range(6)]
+        lines = [Line(f"axis {k + 1}", arm.time, share[:, k], k) for k in range(arm.robot.axes)]
         body = chart(
             lines,
             x_label="s",

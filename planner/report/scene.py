@@ -18,7 +18,7 @@ from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Rgba, Role, S
 from planner.catalogue.robots import Look, RobotData
 from planner.cell import axis_way
 from planner.cell.axis_way import Travel
-from planner.cell.bodies import LINK_CHAIN, drake_shape
+from planner.cell.bodies import drake_shape, link_chain
 from planner.cell.kinematics import forward
 from planner.cell.plant import ROBOT_COLOUR, STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
 from planner.cell.support import with_support
@@ -118,8 +118,6 @@ def setup_index(problem: Problem, operation: int) -> int:
     return problem.setup_of(operation).number - 1
 
 
-_LINKS: Final = LINK_CHAIN[:7]
-"""Names of base and links as robots have them."""
 _PLAIN_COLOUR = (0.7, 0.72, 0.75, 1.0)
 """Red, green, blue, alpha in 0..1 of a body that states no colour."""
 HOT_COLOUR: Final = (1.0, 0.30, 0.05, 1.0)
@@ -180,7 +178,11 @@ def extract(model: CellModel, hulls: bool = False) -> Scene:
     names = {model.body(n).index(): n for n in _all_names(model)}
     own = () if hulls else [arm for arm in model.arms if _own(model.robots[arm])]
     pieces = [piece for arm in own for piece in _looks(arm, model.robots[arm])]
-    hidden = {"stock", "support", *(f"{arm}/{link}" for arm in own for link in _LINKS)}
+    hidden = {
+        "stock",
+        "support",
+        *(f"{arm}/{link}" for arm in own for link in link_chain(model.robots[arm].axes)[:-1]),
+    }
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):
         body = model.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
         shape = inspector.GetShape(geometry)
@@ -200,7 +202,7 @@ def _own(robot: RobotData) -> tuple[tuple[Look, ...], ...]:
 
 def _looks(arm: str, robot: RobotData) -> Iterator[Piece]:
     """What is seen of a robot whose file says how it looks."""
-    for link, own in zip(_LINKS, _own(robot), strict=False):
+    for link, own in zip(link_chain(robot.axes), _own(robot), strict=False):
         for look in own:
             shape, body = look.shape, f"{arm}/{link}"
             if look.color is None or shape.vertices is None or shape.faces is None:
@@ -561,7 +563,7 @@ def _append(
         values.append(np.broadcast_to((moved or {}).get(name, rows.here[name]), (count,)))
     rows.time.append(time)
     for arm, gathered in rows.q.items():
-        gathered.append(np.broadcast_to(q[arm], (count, 6)))
+        gathered.append(np.broadcast_to(q[arm], (count, q[arm].shape[-1])))
     rows.wire.append(np.full((count, WIRE_POINTS, 3), np.nan) if wire is None else wire)
     rows.segment += list(segment)
     rows.operation += [index] * count

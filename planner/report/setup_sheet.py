@@ -321,6 +321,8 @@ def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str,
             out.append((f"the power of {signal} falls with {wire}", "a relay in series, beside the program"))
     if joined:
         out += _ur_joined(controller, arm)
+    lit = torch_signals(problem.operations) & set(_powered(problem, plan, arm))
+    out += [row for signal in sorted(lit) for row in _ur_torch(signal)]
     out += [
         ("pose of the flange at home in Base, at the panel", "as the program's get_forward_kin has it"),
         ("mounting in Installation", "as the arm stands"),
@@ -331,6 +333,32 @@ def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str,
         ("behind an error or a stop that is given up", "start the program from its beginning"),
     ]
     return out
+
+
+def _ur_torch(signal: str) -> list[tuple[str, str]]:
+    """What a UR controller needs so that a torch goes out at each stop, and is not lit again."""
+    return [
+        (
+            f"Stop, Pause, emergency stop, safeguard stop, protective stop, each while {signal} is on, "
+            f"supply off and input bridged: {signal}",
+            "falls; else a safety output in series with it",
+        ),
+        (
+            "once, as before: Pause in a slot, then Play",
+            "the program ends, nothing is lit; else this controller gives outputs back: light no torch with "
+            "it",
+        ),
+        (
+            "once, as before: the speed slider at its least in a slot; the input pulled in a slot",
+            "the program ends within some seconds; at once",
+        ),
+        ("the speed slider", "100 %, and nobody moves it"),
+        (
+            f"{signal} on at a stop: never set again by hand",
+            "the program ends: torch out by hand, sheet looked at, start from the beginning; it cuts all "
+            "slots, so on a sheet without them, else plan anew what is left",
+        ),
+    ]
 
 
 def _ur_joined(controller: Controller, arm: str) -> list[tuple[str, str]]:
@@ -473,22 +501,15 @@ def _jogged(home: str) -> str:
 def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
     """What the controller's configuration (MOC.cfg, KUKA's machine data) must say of a turntable, and how the
     block is clamped."""
-    ends = f"{table.low / DEG:g} to {table.high / DEG:g} deg, at most {table.speed / DEG:g} deg/s"
     sense = "counter-clockwise" if table.axis[2] > 0.0 else "clockwise"
     place, turn, _ = pose_cells(np.asarray(problem.stock.place))
     mover = problem.cell.arm(table.arm)
-    tilt = table.tilt
+    tilt, kuka = table.tilt, mover.data.family == "KUKA"
     root = f"its axis goes upright through {_point(table.centre)} mm of the world"
     root += "" if tilt is None else f", with {tilt.label} at 0 deg"
-    if mover.data.family == "KUKA":
-        n = table.column + 1
-        seen = transform(inverse(mover.base), table.centre)
-        root += f", {_point(seen)} mm of $WORLD"
-        kind = "#EASYS, or #NONE: programs set $BASE to a fixed frame of each station, and couple it to none"
-        first = [
-            (f"E{n}, axis {6 + n}: {table.unit}", "there, one rotary axis, synchronous, in deg"),
-            (f"{table.unit} in MACHINE_DEF, $EX_KIN", kind),
-        ]
+    if kuka:
+        root += f", {_point(transform(inverse(mover.base), table.centre))} mm of $WORLD"
+        first = _kuka_turntable(table)
         start = f"{table.unit} before the program starts"
     else:
         column = f"number {table.column + 1} (eax_{'abcdef'[table.column]})"
@@ -502,35 +523,64 @@ def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
             first = [(f"mechanical unit {table.unit}", f"{what}, in deg")]
         start = f"{table.unit} before PP to main"
     home = ", ".join(f"{axis.word} {axis.home / DEG:g}".strip() for axis in table.axes.values())
-    fast = f", {table.acceleration / DEG:g} deg/s²" if np.isfinite(table.acceleration) else ""
     return [
         *first,
         *([] if tilt is None else _tilt(problem, table, tilt)),
         (f"{table.label}: base frame", root),
         (f"{table.label}: sense", f"seen from above, growing values turn it {sense}"),
-        (f"{table.label}: joint", f"{ends}{fast}; home {table.home / DEG:g} deg"),
+        _joint(table, kuka),
         (start, _jogged(f"{home} deg")),
         (f"block with {table.unit} at 0 deg", f"at {place} mm, roll, pitch, yaw {turn} deg"),
     ]
 
 
+def _joint(axis: RotaryAxis, kuka: bool) -> tuple[str, str]:
+    """The range of an axis under the block, its speed and acceleration, and its home."""
+    n = axis.column + 1
+    where = f"$SOFTN_END[{6 + n}], $SOFTP_END[{6 + n}]" if kuka else "joint"
+    own = f" (at $VEL_EXTAX[{n}] 100)" if kuka else ""
+    ends = f"{axis.low / DEG:g} to {axis.high / DEG:g} deg, at most {axis.speed / DEG:g} deg/s{own}"
+    fast = f", {axis.acceleration / DEG:g} deg/s²" if np.isfinite(axis.acceleration) else ""
+    return f"{axis.label}: {where}", f"{ends}{fast}; home {axis.home / DEG:g} deg"
+
+
+def _kuka_turntable(table: Turntable) -> list[tuple[str, str]]:
+    """The axes of a turntable or positioner in the machine data of a KUKA controller. Of one that turns
+    infinitely the values count modulo 360, and it goes the shorter way (KR C2, machine data, 2.1.4), which
+    nobody has looked at; the order of axes in a kinematic: 2.2.6 $ET1_AX."""
+    out = []
+    for axis in reversed(table.axes.values()):  # from the floor up
+        n = axis.column + 1
+        kind = f"there, rotary, synchronous, in deg; $AXIS_TYPE[{6 + n}] 3, not 5, which goes the shorter way"
+        out.append((f"E{n}, axis {6 + n}: {axis.label}", kind))
+    fixed = "or #NONE: programs set $BASE to a fixed frame of each station, and couple it to none"
+    if table.tilt is None:
+        return [*out, (f"{table.unit} in MACHINE_DEF, $EX_KIN", f"#EASYS, {fixed}")]
+    chain = f"TR_A1 #E{table.tilt.column + 1} (tilt), TR_A2 #E{table.column + 1} (turn)"
+    return [*out, (f"{table.unit} in MACHINE_DEF, $EX_KIN, $ET1_AX", f"#EASYS with {chain}, {fixed}")]
+
+
 def _tilt(problem: Problem, table: Turntable, tilt: RotaryAxis) -> list[tuple[str, str]]:
     """What the controller's configuration must say of a positioner's tilt axis and of its load."""
-    along = ", ".join(markup.fixed(float(v), 6) for v in tilt.axis)
-    ends = f"{tilt.low / DEG:g} to {tilt.high / DEG:g} deg, at most {tilt.speed / DEG:g} deg/s, "
-    ends += f"{tilt.acceleration / DEG:g} deg/s²; home {tilt.home / DEG:g} deg"
+    mover = problem.cell.arm(table.arm)
+    kuka, base = mover.data.family == "KUKA", inverse(mover.base)
+    frames = [("the world", tilt.axis, tilt.centre)]
+    frames += [("$WORLD", base[:3, :3] @ tilt.axis, transform(base, tilt.centre))] if kuka else []
+    lies = "; ".join(
+        f"it goes along ({', '.join(markup.fixed(float(v), 6) for v in axis)}) of {name}, {_point(at)} mm is "
+        "on it"
+        for name, axis, at in frames
+    )
     masses = [setup.stock.mass for setup in problem.setups if setup.stock.mass is not None]
     most = "not stated" if table.load is None else f"{table.load:g} kg"
     block = f"the block weighs {max(masses):.1f} kg" if masses else "weigh the block"
-    carried = f"carries: {most}; {block}, with its support, and tell the controller (MechUnitLoad)"
+    carried = f"carries: {most}; {block}, with its support"
+    carried += "" if kuka else ", and tell the controller (MechUnitLoad)"
     return [
-        (
-            f"{tilt.label}: base frame",
-            f"it goes along ({along}) of the world, {_point(tilt.centre)} mm is on it",
-        ),
+        (f"{tilt.label}: base frame", lies),
         (f"{tilt.label}: zero", "with 0 deg the plate lies flat, its top upwards: measure with a level"),
         (f"{tilt.label}: sense", "growing values tilt it by the right hand about that direction"),
-        (f"{tilt.label}: joint", ends),
+        _joint(tilt, kuka),
         (f"{table.unit}: load", carried),
     ]
 
@@ -560,6 +610,17 @@ def _kuka_track(arm: Arm, track: LinearTrack) -> list[tuple[str, str]]:
         ("that foot, the base frame", f"{_point(arm.base[:3, 3])} mm of the world"),
         (f"{unit} before the program starts", _jogged(f"{track.home / MM:g} mm")),
     ]
+
+
+def _other_axes(arm: Arm, table: Turntable | None) -> list[tuple[str, str]]:
+    """External axes of a KUKA controller that the program of an arm does not know. Its data of joints have 0
+    for each, and a PTP would take them there."""
+    own = set() if arm.track is None else {0}
+    if table is not None and table.arm == arm.name:
+        own |= {axis.column for axis in table.axes.values()}
+    rest = ", ".join(f"E{column + 1}" for column in range(6) if column not in own)
+    what = f"none of {rest} is there, or it is decoupled: PTP would take it to 0"
+    return [("other external axes", what)] if own else []
 
 
 def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
@@ -597,6 +658,7 @@ def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[st
     table = problem.cell.turntable
     if table is not None and table.arm == arm:
         out += _turntable(problem, table)
+    out += _other_axes(rider, table)
     out.append(("behind an error or a stop that is given up", "reset the program, then start"))
     return out
 

@@ -1,11 +1,13 @@
 """Points of a scan, from a PLY, XYZ, STL or OBJ file.
 
 Scans are larger than parts and need no faces: of a mesh the vertices are taken. An XYZ file has a point a
-line, x, y and z first, with blanks, tabs, commas or semicolons between.
+line, x, y and z first, with blanks, tabs, commas or semicolons between; its first line may be of names or a
+count.
 """
 
 from __future__ import annotations
 
+import codecs
 import dataclasses
 import hashlib
 import io
@@ -37,6 +39,8 @@ MOST_POINTS: Final = 20_000_000
 """Points of a scan at most."""
 VERTEX: Final = re.compile(rb"^v[ \t](.*)$", re.MULTILINE)
 """A vertex of an OBJ file."""
+HEAD: Final = re.compile(rb"\s*(?:\d+|[\"']?[A-Za-z_][^\d\s]*(?:[\s,;]+[\"']?[A-Za-z_][^\s,;]*)+)\s*")
+"""A first line that is no point: a count, as in PTS files, or names of columns."""
 DECIMAL_COMMAS: Final = re.compile(rb"\s*-?\d+,\d+\s*[;\t ]\s*-?\d+,\d+\s*[;\t ]")
 """A point whose decimals have commas: between its lengths there is something else."""
 
@@ -115,12 +119,18 @@ def _once(points: FloatArray) -> FloatArray:
 
 
 def _table(data: bytes) -> FloatArray:
-    """The first three columns (N, 3) of a text; lines that begin with # or // are left out."""
+    """The first three columns (N, 3) of a text; lines that begin with # or // are left out, and a first line
+    of names, or of how many points follow."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        data = data.decode("utf-16").encode()
+    data = data.removeprefix(codecs.BOM_UTF8)
     lines = [
         line for line in data.splitlines() if line.strip() and not line.lstrip().startswith((b"#", b"//"))
     ]
     if not lines:
         raise ValueError("it has no points")
+    if len(lines) > 1 and HEAD.fullmatch(lines[0]):
+        del lines[0]
     if DECIMAL_COMMAS.match(lines[0]):
         raise ValueError("its decimals have commas, read are points: 12.5 in place of 12,5")
     for mark in (b";", b","):

@@ -291,6 +291,8 @@ def _require_part(
     what += (
         f", {100.0 * (1.0 - share):.0f} % farther than {FARTHEST / MM:g} mm; it is {deep:.2g} times as deep, "
         f"allowed {LEAST_DEEP:g} to {MOST_DEEP:g}"
+        if len(points)
+        else ": it shows the flat around it alone"
     )
     hint = "name the result folder of the part that was scanned, say which face it shows (--face), give marks"
     if like:
@@ -328,13 +330,15 @@ def _mirrored(face: TriangleMesh, points: FloatArray, level: float) -> tuple[flo
     about the ``level`` [m] the nearest one; and along which. Marks in a plane fit a mirror image turned over:
     that is one along z."""
     some = points[:: max(1, len(points) // 5_000)]
+    if not len(some):
+        return np.inf, "x"
     values = []
-    for axis in range(3 if len(some) else 0):
+    for axis in range(3):
         image = some.copy()
         image[:, axis] *= -1.0
         image[:, axis] += 2.0 * level if axis == 2 else 0.0
         values.append(float(np.median(np.abs(_feet(face, image)[1]))))
-    return min(zip(values, "xyz", strict=True), default=(np.inf, "x"))
+    return min(zip(values, "xyz", strict=True))
 
 
 def issues(found: Deviation, file: str) -> list[Issue]:

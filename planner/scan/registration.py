@@ -56,6 +56,10 @@ AGREE: Final = 0.15 * MM
 """Marks that are off by more [m] do not agree: which of them is doubted is told."""
 MAD: Final = 1.4826
 """A standard deviation over the median of absolute deviations, of a normal distribution."""
+FEW: Final = 50_000
+"""Points of a scan at which a mirror image is tried."""
+MIRRORED_SHARE: Final = 0.05
+"""Of its points that lie on the flat, if it was one."""
 LEAST_SPREAD: Final = 0.25
 """The flat's points are spread over this share of the sheet's shorter side at least, both ways."""
 
@@ -121,6 +125,8 @@ def register(points: FloatArray, flat: Flat, marks: ProbedPoints | None) -> Pose
     shapely.prepare(flat.area)
     near = MARKED if names else UNMARKED
     some = points[flat.holds(transform(pose, points), near)]
+    if names and len(some) < LEAST_POINTS:
+        raise _beside_marks(points, flat, pose, len(some))
     some = some[:: max(1, -(-len(some) // MOST_POINTS))]
     noise, count, within = near, 0, np.full(6, np.inf)
     for _ in range(ROUNDS):
@@ -188,8 +194,35 @@ def _require_flat(there: FloatArray, flat: Flat, near: float) -> None:
     raise _no_flat(what, float(len(there)), float(LEAST_POINTS))
 
 
-def _no_flat(what: str, got: float, limit: float) -> TandemError:
-    hint = "scan the flat around the part too, say which face is scanned (--face), give marks (--marks)"
+def _beside_marks(points: FloatArray, flat: Flat, pose: FloatArray, count: int) -> TandemError:
+    """A scan that is not where its marks are: another frame or unit than theirs, or an axis that is turned
+    round in one of both."""
+    what = (
+        f"got {count} points of the scan within {MARKED / MM:g} mm of the flat around the part, where the "
+        f"marks put it, allowed {LEAST_POINTS} or more: where the scan lies is known by what does not come "
+        "back"
+    )
+    hint = (
+        "scan the flat around the part too, say which face is scanned (--face), see that marks and scan are "
+    )
+    hint += "in one frame and unit"
+    some = points[:: max(1, len(points) // FEW)]
+    for axis, name in enumerate("xyz"):
+        turned = some.copy()
+        turned[:, axis] *= -1.0
+        if flat.holds(transform(pose, turned), MARKED).mean() >= MIRRORED_SHARE:
+            what += f"; with {name} of the scan turned round it would lie there"
+            hint = f"look for the wrong sign of {name}, in the scan or in the marks' columns scan.{name}_mm"
+            break
+    return _no_flat(what, float(count), float(LEAST_POINTS), hint)
+
+
+def _no_flat(
+    what: str,
+    got: float,
+    limit: float,
+    hint: str = "scan the flat around the part too, say which face is scanned (--face), give marks (--marks)",
+) -> TandemError:
     return TandemError(Issue("scan.flat", what, value=got, limit=limit, hint=hint))
 
 

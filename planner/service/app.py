@@ -25,6 +25,7 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Redirect
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 import planner
@@ -52,6 +53,7 @@ from planner.service.runner import Team
 from planner.service.security import LOOPBACK, PROBLEM_JSON, Guard, RefusedError, issue_json
 from planner.service.service import Options, Service
 from planner.service.storage import store_refusal, take_upload
+from planner.service.upload_processes import connection_closed
 
 page_router: Final = APIRouter(include_in_schema=False)
 PAGE_FOLDER: Final = Path(__file__).resolve().parent / "page"
@@ -326,6 +328,7 @@ def create_app(service: Service) -> FastAPI:
     app.add_exception_handler(RefusedError, _refused)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
+    app.add_exception_handler(ClientDisconnect, _gone)
     for kind in (SQLAlchemyError, OSError):
         app.add_exception_handler(kind, _store)
     app.add_exception_handler(Exception, _failed)
@@ -401,6 +404,12 @@ async def _http(request: Request, error: Exception) -> JSONResponse:
     what = f"{request.method} {request.url.path[:200]}: {error.detail}{way}; see /openapi.json"
     code = "service.not_found" if error.status_code in (404, 405) else "service.request"
     return await _refused(request, RefusedError(error.status_code, Issue(code, what), headers))
+
+
+async def _gone(request: Request, error: Exception) -> JSONResponse:
+    """Nobody hears it, and nothing is wrong with the service."""
+    del error
+    return await _refused(request, connection_closed())
 
 
 async def _store(request: Request, error: Exception) -> JSONResponse:

@@ -14,6 +14,7 @@ import numpy as np
 
 from planner import pipeline, processes
 from planner.cell import plant
+from planner.cell.bodies import link_chain
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Mesh, from_parts, spread_rows, to_rpy
 from planner.geometry.thinning import thinned
@@ -156,7 +157,7 @@ def _moves(problem: Problem, setup: Setup, model: CellModel) -> list[dict[str, A
             {"name": "stock", "kind": "stock", "bodies": ["stock", "support", "part"], "fields": fields}
         )
     for number, arm in enumerate(problem.cell.arms):
-        names = [f"{arm.name}/{link}" for link in ("base_link", *(f"link_{i}" for i in range(1, 7)))]
+        names = [f"{arm.name}/{link}" for link in link_chain(arm.data.axes)[:-1]]
         names += [f"{arm.name}/tool", f"{arm.name}/edge"]
         if setup.stock.held_by == arm.name:
             names += ["stock", "part"]

@@ -59,7 +59,7 @@ from planner.service.storage import Blob, Upload
 from planner.service.upload_processes import Examined, Reading
 
 if TYPE_CHECKING:
-    from planner.service.service import Service
+    from planner.service.service import Pieces, Service
 
 DATA: Final = "element.json"
 """The result of a division that has all of it as data."""
@@ -205,9 +205,10 @@ class Elements:
         chosen: Sequence[str] | None,
         reading: Reading,
         once: Once | None = None,
-    ) -> list[JobOut]:
+    ) -> Pieces[list[JobOut]]:
         """Plan panels as jobs, those that are chosen or all that are not planned yet, each like one beside
         it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
+        yield
         name, files = self._divided(element)
         data = self._data(files[DATA].sha)
         with self._database.read() as db:
@@ -217,7 +218,11 @@ class Elements:
         if not wanted:
             return []
         parts = {f: b for f, b in files.items() if f.startswith(("problem/", "panels/"))}
-        read = dict(zip(wanted, self._service.examine_panels(parts, wanted, reading), strict=True))
+        read = yield from self._service.examine_panels(parts, wanted, reading)
+        with self._database.read() as db:  # others had their turns meanwhile
+            before = _panels(db, element)
+        wanted = [one for one in _wanted(known, before, chosen) if one in read]
+        read = {one: read[one] for one in wanted}
         stored = self._service.stored(owner, read, parts, PROBLEM)
         done = before.keys() - read.keys()
         after = like_within(data, [one for one in known if one in done or one in read], done)

@@ -500,7 +500,7 @@ async def create(
         request,
         owner,
         once,
-        lambda reading: [here.create(owner, upload, timeout_s, memory_mb, reading, once)],
+        lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading, once),
     )
     return made
 

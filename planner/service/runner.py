@@ -242,11 +242,11 @@ class Work:
     def forget(self, older_s: float | None, audit_s: float | None = None) -> None:
         """Delete jobs that were finished so long ago, sessions that are over, old idempotency keys, and
         entries of the audit log that are older than ``audit_s``."""
-        now = time.time()
+        now = self._database.clock()
         with self._database.write() as db:
             db.execute(delete(SESSIONS).where(SESSIONS.c.expires < now))
             idempotency.forget(self._database, db)
-            webhooks.forget(db)
+            webhooks.forget(self._database, db)
             if older_s is not None:
                 old = and_(JOBS.c.state.not_in(OPEN), JOBS.c.finished < now - older_s)
                 found = db.execute(select(JOBS.c.id).where(old).order_by(JOBS.c.id)).scalars().all()
@@ -299,6 +299,10 @@ PROGRESS_EVERY_S: Final = 0.5
 """Progress within a stage is told so often."""
 SWEEP_S: Final = 600.0
 """Time [s] between two looks for what is old enough to be forgotten."""
+JUMP_S: Final = 3600.0
+"""A clock that has gone so much faster or slower than time [s] between two looks has jumped."""
+STEADY_S: Final = 86400.0
+"""Nothing is forgotten for so long [s] after a clock has jumped: by a wrong one all would be old."""
 AGAIN_S: Final = 2.0
 """After an error of the database or the workers it is tried again so much later."""
 ROOM_MB: Final = 32.0
@@ -353,6 +357,8 @@ class Runner(threading.Thread):
         self._stages: dict[str, tuple[str, float]] = {}
         self._folders: dict[str, Path] = {}
         self._due: dict[str, float] = {}
+        self._clock: tuple[float, float] | None = None
+        self._steady_at = 0.0
         self.alive_at = time.monotonic()
         self._troubled = False
         self._room_at = 0.0
@@ -421,7 +427,8 @@ class Runner(threading.Thread):
             if self._work.take_over(alone=self._alone):
                 LOG.warning("jobs of a service that is gone wait again")
         if self._is_due("sweep", SWEEP_S):
-            self._work.forget(self._keep_s, self._audit_s)
+            if self._is_steady():
+                self._work.forget(self._keep_s, self._audit_s)
             self._files.sweep(self._shas)
         while len(self._claimed) < self._count and self._has_room():
             claimed = self._work.claim()
@@ -528,6 +535,15 @@ class Runner(threading.Thread):
     def _stored(self, result: Path) -> dict[str, Blob]:
         paths = sorted(path for path in result.rglob("*") if path.is_file() and not path.is_symlink())
         return {path.relative_to(result).as_posix(): self._files.put_file(path) for path in paths}
+
+    def _is_steady(self) -> bool:
+        """Whether the clock has not jumped lately; not known at first: machines set it after they start."""
+        boot, clock = time.clock_gettime(time.CLOCK_BOOTTIME), time.time()  # it goes on in suspended machines
+        before, self._clock = self._clock, (boot, clock)
+        if before is not None and abs((clock - before[1]) - (boot - before[0])) > JUMP_S:
+            LOG.warning("the clock has jumped; nothing is forgotten by its age for a day")
+            self._steady_at = boot + STEADY_S
+        return before is not None and boot >= self._steady_at
 
     def _is_due(self, what: str, every_s: float) -> bool:
         now = time.monotonic()

@@ -395,20 +395,36 @@ DRAIN_S: Final = 20.0
 """Time [s] for which the rest of a request that was refused is read."""
 
 
+IDLE_S: Final = 60.0
+"""Time [s] in which something of a request's body has to come."""
+LEAST_BYTES_S: Final = 1000.0
+"""A body that comes in slower [bytes/s], `IDLE_S` beside, is given up."""
+
+
 class _Body:
-    """A request's body as it is received.
+    """A request's body as it is received. One that comes by the byte is given up as if its client had gone:
+    it would keep its connection for ever.
 
     A connection that is closed on a client that still sends is reset, and the client never sees why it was
     refused. So the answer goes out first, and the rest is read and dropped (RFC 9112, section 9.6)."""
 
     def __init__(self, receive: Receive) -> None:
         self._receive = receive
+        self._got, self._since = 0, math.inf
         self.ended = False
 
     async def __call__(self) -> Message:
         """ASGI."""
-        message = await self._receive()
+        if self.ended:  # what comes is that the client goes
+            return await self._receive()
+        now = time.monotonic()
+        self._since = min(self._since, now)
+        rest_s = self._since + IDLE_S + self._got / LEAST_BYTES_S - now
+        message: Message = {"type": "http.disconnect"}
+        with anyio.move_on_after(min(max(rest_s, 0.0), IDLE_S)):
+            message = await self._receive()
         self.ended = not message.get("more_body", False)
+        self._got += len(message.get("body", b""))
         return message
 
     async def drain(self) -> None:
@@ -474,7 +490,7 @@ class Guard:
         if scope["method"] not in SAFE_METHODS:
             origin = headers.get("origin")
             if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") or (
-                origin is not None and _host_and_port(origin) != host.lower()
+                origin is not None and not _is_own(origin, host, scope["scheme"])
             ):
                 raise _foreign("another site sent this request through a browser; use the service's own page")
 
@@ -502,11 +518,14 @@ def in_clear(parts: SplitResult) -> bool:
     return parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK)
 
 
-def _host_and_port(origin: str) -> str:
+def _is_own(origin: str, host: str, scheme: str) -> bool:
+    """Whether a page of this service sends: one that came in clear is none of a service that is asked by TLS,
+    for anybody between may have made it. A proxy may have taken TLS away."""
     try:
-        return urlsplit(origin).netloc.lower()
+        parts = urlsplit(origin)
     except ValueError:
-        return ""
+        return False
+    return parts.netloc.lower() == host.lower() and (parts.scheme, scheme) != ("http", "https")
 
 
 def _host_name(host: str) -> str:

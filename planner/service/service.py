@@ -15,7 +15,7 @@ import shutil
 import socket
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 
@@ -48,6 +48,10 @@ if TYPE_CHECKING:
 PID_MARK: Final = ".pid-"
 """Stands before the process identifier in the name of a service's folder."""
 Read = TypeVar("Read")
+Pieces = Generator[None, None, Read]
+"""A reading in pieces: it waits for its turn at each ``yield``, and returns what it has read."""
+PANELS_AT_ONCE: Final = 20
+"""Panels of an element that are read before others have their turn."""
 REMEMBERED: Final = 256
 """So many uploads that were read are known again."""
 
@@ -130,7 +134,8 @@ class Service:
         self.drafts = Drafts(self.database, self.limits)
         self.releases = Releases(self.database, self.files)
         self._turns: dict[str, anyio.Semaphore] = {}
-        self._readers = anyio.CapacityLimiter(options.examiners)
+        self._readers = anyio.Semaphore(options.examiners)  # in the order of who asks
+        self._long: dict[str, anyio.Lock] = {}
         self._waiting: Counter[str] = Counter()
         self._read: OrderedDict[str, Examined] = OrderedDict()
         self._read_lock = threading.Lock()
@@ -140,17 +145,27 @@ class Service:
         request: Request,
         owner: str,
         once: Once | None,
-        make: Callable[[Reading], Sequence[JobOut]],
+        make: Callable[[Reading], Pieces[Sequence[JobOut]]],
     ) -> Sequence[JobOut]:
         """The jobs that a request made which is to be done ``once``, else those that are made now; raises as
-        :meth:`in_turn`, and 422 for a key that came with another request."""
+        :meth:`in_turns`, and 422 for a key that came with another request."""
         known = await anyio.to_thread.run_sync(self.jobs.made, once)
-        return known or await self.in_turn(request, owner, make)
+        return known or await self.in_turns(request, owner, make)
 
     async def in_turn(self, request: Request, owner: str, read: Callable[[Reading], Read]) -> Read:
-        """What ``read`` gives, in a thread, when it is the owner's turn: one token never keeps all readers
-        from the others, and has so many requests waiting at most. A connection that is closed meanwhile ends
-        its reading. The request's body has come in.
+        """What ``read`` gives, in one piece; raises as :meth:`in_turns`."""
+
+        def whole(reading: Reading) -> Pieces[Read]:
+            yield
+            return read(reading)
+
+        return await self.in_turns(request, owner, whole)
+
+    async def in_turns(self, request: Request, owner: str, read: Callable[[Reading], Pieces[Read]]) -> Read:
+        """What ``read`` gives, each of its pieces in a thread when it is the owner's turn: one token never
+        keeps all readers from the others, who wait for one piece of a long reading and not for the whole, and
+        has so many requests waiting at most. A connection that is closed meanwhile ends its reading. The
+        request's body has come in.
 
         Raises what ``read`` does, and :class:`RefusedError`: 429 where too many wait, 499 where who asked
         has gone.
@@ -162,8 +177,8 @@ class Service:
 
             async def wait_and_read() -> None:
                 try:
-                    async with self._turn(owner):
-                        found.append(await anyio.to_thread.run_sync(read, reading))
+                    async with self._waits(owner):
+                        found.extend(await self._read_in_turns(owner, read(reading)))
                 except Exception as error:  # a task group would wrap it
                     failed.append(error)
                 tasks.cancel_scope.cancel()
@@ -179,17 +194,32 @@ class Service:
             raise connection_closed()
         return found[0]
 
+    async def _read_in_turns(self, owner: str, pieces: Pieces[Read]) -> list[Read]:
+        """What was read. Of several long readings of one owner one goes on, for what was read of each is held
+        in memory until its end."""
+        readers = self.options.examiners if owner == LOCAL else max(1, self.options.examiners - 1)
+        own = self._turns.setdefault(owner, anyio.Semaphore(readers))
+
+        async def piece() -> list[Read]:
+            async with own, self._readers:
+                return await anyio.to_thread.run_sync(_go_on, pieces)
+
+        if found := _go_on(pieces) or await piece():
+            return found
+        async with self._long.setdefault(owner, anyio.Lock()):
+            while not (found := await piece()):
+                pass
+        return found
+
     @contextlib.asynccontextmanager
-    async def _turn(self, owner: str) -> AsyncIterator[None]:
-        alone, most = owner == LOCAL, self.limits.readings
-        if not alone and self._waiting[owner] >= most:
+    async def _waits(self, owner: str) -> AsyncIterator[None]:
+        most = self.limits.readings
+        if owner != LOCAL and self._waiting[owner] >= most:
             what = f"{most} uploads of this token wait to be read, as many as may; send this one later"
             raise RefusedError(429, Issue("service.too_many", what, limit=most), {"Retry-After": "5"})
-        readers = self.options.examiners if alone else max(1, self.options.examiners - 1)
         self._waiting[owner] += 1
         try:
-            async with self._turns.setdefault(owner, anyio.Semaphore(readers)), self._readers:
-                yield
+            yield
         finally:
             self._waiting[owner] -= 1
 
@@ -282,11 +312,12 @@ class Service:
         memory_mb: float | None,
         reading: Reading | None = None,
         once: Once | None = None,
-    ) -> JobOut:
-        """A job for an upload; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
+    ) -> Pieces[list[JobOut]]:
+        """The one job for an upload; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
+        yield
         read = self.examine(upload, reading=reading)
         files = self.stored(owner, {PROBLEM: read}, upload.files)[PROBLEM]
-        return self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb), once)
+        return [self.jobs.create(self.new_job(owner, read.name, read, files, timeout_s, memory_mb), once)]
 
     def sweep(
         self,
@@ -297,10 +328,11 @@ class Service:
         tag: str,
         reading: Reading,
         once: Once | None = None,
-    ) -> list[JobOut]:
+    ) -> Pieces[list[JobOut]]:
         """A job for each value of a field, all or none; raises as :meth:`create`."""
         read: dict[str, Examined] = {}
         for number, value in enumerate(values):
+            yield
             said = f"{field} = {json.dumps(value, ensure_ascii=False)[:80]}: "
             with _said_of(said):
                 read[str(number)] = self.examine(upload, reading=reading, fields={field: value})
@@ -320,12 +352,13 @@ class Service:
         tag: str,
         reading: Reading,
         once: Once | None = None,
-    ) -> list[JobOut]:
+    ) -> Pieces[list[JobOut]]:
         """A job for each of several problems with common files, all or none; raises as :meth:`create`, for
         all problems that cannot be read at once."""
         read: dict[str, Examined] = {}
         refused: list[tuple[int, Issue]] = []
         for number, (name, upload) in enumerate(uploads.items()):
+            yield
             try:
                 with _said_of(f"{name[:80]}: "):
                     read[name] = self.examine(upload, reading=reading)
@@ -354,10 +387,16 @@ class Service:
 
     def examine_panels(
         self, files: Mapping[str, Blob], panels: Sequence[str], reading: Reading
-    ) -> list[Examined]:
-        """Panels out of the files of a divided element; raises as :meth:`examine`."""
+    ) -> Pieces[dict[str, Examined]]:
+        """Panels out of the files of a divided element, by their ids; raises as :meth:`examine`."""
         paths = {name: self.files.path(blob.sha) for name, blob in files.items()}
-        return [_readable(one) for one in self._examiners.examine_panels(paths, panels, reading)]
+        read: dict[str, Examined] = {}
+        for start in range(0, len(panels), PANELS_AT_ONCE):
+            yield
+            some = panels[start : start + PANELS_AT_ONCE]
+            found = self._examiners.examine_panels(paths, some, reading)
+            read |= dict(zip(some, map(_readable, found), strict=True))
+        return read
 
     def stored(
         self,
@@ -401,6 +440,15 @@ class Service:
             issues=read.issues,
             of=of,
         )
+
+
+def _go_on(pieces: Pieces[Read]) -> list[Read]:
+    """Read up to the next wait: what was read where that was all, else nothing."""
+    try:
+        next(pieces)
+    except StopIteration as end:
+        return [end.value]
+    return []
 
 
 def _log_in(database: Database, auth: Auth, oidc: Oidc) -> LogIn:

@@ -25,6 +25,10 @@ LINES: Final = 2000
 """Characters of a text of several lines."""
 JOINERS: Final = "\u200c\u200d"
 """Marks that are not seen and are part of words."""
+BLANK: Final = "\u115f\u1160\u2800\u3164\uffa0"
+"""Letters and signs that are not seen: what is called by them cannot be told, or clicked."""
+BESIDE: Final = ("Cf", "Mn", "Me", "Zs")
+"""Kinds of characters that are seen beside others alone."""
 REFUSED: Final = ("Cc", "Cf", "Co", "Cs", "Zl", "Zp")
 """Kinds of characters that are refused: control, format, private use, halves, separators of lines."""
 Body = TypeVar("Body", bound=BaseModel)
@@ -51,10 +55,13 @@ def _kept(text: str, allowed: str, most: int) -> str:
         what = "has {count} characters as it is kept (NFC), at most {most} may be; make it shorter"
         raise PydanticCustomError("text", what, {"count": len(kept), "most": most})
     for one in kept:
-        if one not in JOINERS + allowed and unicodedata.category(one) in REFUSED:
+        if one not in JOINERS + allowed and (one in BLANK or unicodedata.category(one) in REFUSED):
             name = unicodedata.name(one, "a control character").lower()
             what = "has U+{code} ({name}), which is not seen or is no text; take it out"
             raise PydanticCustomError("text", what, {"code": f"{ord(one):04X}", "name": name})
+    if kept and all(unicodedata.category(one) in BESIDE for one in kept):
+        what = "has {count} characters, none of which is seen by itself; write a word"
+        raise PydanticCustomError("text", what, {"count": len(kept)})
     return kept
 
 

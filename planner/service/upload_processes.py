@@ -57,11 +57,17 @@ class Examined:
 
 
 class Reader:
-    """A process that reads what it is asked, one at a time, and its parent, which forks the next one."""
+    """A process that reads what it is asked, one at a time, and its parent, which forks the next one.
+
+    Readings are numbered, and an answer has the number of its own. Who reads says how many were ended before
+    it: the one that was wanted to be ended may have ended by itself, and the next one in its place.
+    """
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
-        self._begun = self._asked = self._unwanted = self._ending = False
+        self._clean = False  # somebody has begun to read, and no line of a former reading is left
+        self._asked = self._unwanted = self._ending = False
+        self._number = self._ended = 0  # of the reading; of those who read, how many were to be ended
         self._turn = threading.Lock()  # of who asks and who breaks that off
 
     @property
@@ -76,17 +82,16 @@ class Reader:
         with self._turn:
             self._unwanted = True
             if self._asked and not self._ending:
-                self._ending = True
-                self._process.send_signal(signal.SIGUSR2)
+                self._end_who_reads()
 
     def end(self) -> None:
         """End both."""
         self._process.kill()
         self._process.wait()
 
-    def ask(self, line: str) -> list[Any] | None:
+    def ask(self, what: str) -> list[Any] | None:
         """The answer to one line; None where who reads has ended, or nobody wants to know any more."""
-        if not self._begun and not self._wait():
+        if not self._clean and not self._wait():
             return None
         if self._process.stdin is None:
             raise RuntimeError("a reader has no pipes")
@@ -94,32 +99,44 @@ class Reader:
             if self._unwanted:
                 return None
             self._asked = True
+            self._number += 1
             try:
-                self._process.stdin.write(line + "\n")
+                self._process.stdin.write(f"{self._number} {what}\n")
                 self._process.stdin.flush()
             except OSError:
+                self._clean = False
                 return None
-        found = _json_of(self._line())
+        number, _, answer = self._line().partition(" ")
+        found = _json_of(answer) if number == str(self._number) else None
         with self._turn:
             self._asked = False
-        self._begun = found is not None
+        self._clean = found is not None
         return found
 
     def settle(self) -> None:
-        """Wait for the one that takes the place of who was ended; nobody calls :meth:`renew` any more."""
-        if self._ending or not self._begun:
-            self._begun = False
+        """Wait for the one that takes the place of who was ended; nobody calls :meth:`renew` any more. Where
+        there was no answer, who reads now may have begun before, and is ended, too: what it was sent, and
+        what it has said, goes with it."""
+        if self._ending or not self._clean:
+            if not self._ending:
+                self._end_who_reads()
+            self._clean = False
             if not self._wait():
                 self.end()
         self._asked = self._unwanted = self._ending = False
 
+    def _end_who_reads(self) -> None:
+        self._ending = True
+        self._ended += 1
+        self._process.send_signal(signal.SIGUSR2)
+
     def _wait(self) -> bool:
         """Whether somebody reads from now on."""
-        while not self._begun:
+        while not self._clean:
             line = self._line()
             if not line:
                 return False
-            self._begun = line == BEGUN
+            self._clean = line == f"{BEGUN} {self._ended}\n"
         return True
 
     def _line(self) -> str:
@@ -128,8 +145,8 @@ class Reader:
         return self._process.stdout.readline()
 
 
-BEGUN: Final = "reading\n"
-"""The line with which a process that reads begins."""
+BEGUN: Final = "reading"
+"""The line with which a process that reads begins, with how many were ended before."""
 
 
 def _json_of(line: str) -> list[Any] | None:
@@ -332,18 +349,19 @@ def serve() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what libraries print is no answer
-    child = 0
+    child = ended = 0
 
     def end_child(*_: object) -> None:
-        if child:
-            os.kill(child, signal.SIGKILL)
+        nonlocal ended
+        ended += 1
+        os.kill(child, signal.SIGKILL)  # it is there, perhaps at its end: signals are blocked else
 
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     signal.signal(signal.SIGUSR1, _get_ready)
     signal.signal(signal.SIGUSR2, end_child)
     own, status = os.getpid(), -1
     while status != 0:
         gc.freeze()
-        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         child = os.fork()
         if child == 0:
             for number in SIGNALS:
@@ -351,13 +369,14 @@ def serve() -> None:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
             end_with(own)
             _drain(0)
-            answers.write("\n" + BEGUN)  # what another one had begun to write ends here
+            answers.write(f"\n{BEGUN} {ended}\n")  # what another one had begun to write ends here
             answers.flush()
             _read_on(answers)
             os._exit(0)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+        os.waitid(os.P_PID, child, os.WEXITED | os.WNOWAIT)
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         _, status = os.waitpid(child, 0)
-        child = 0
 
 
 SIGNALS: Final = (signal.SIGUSR1, signal.SIGUSR2)
@@ -387,7 +406,8 @@ def _read_on(answers: TextIO) -> None:
 
     models = plant.keep_models()
     for line in sys.stdin:
-        asked = json.loads(line)
+        number, _, text = line.partition(" ")
+        asked = json.loads(text)
         if (asked.get("reach") or asked.get("cell")) and "planner.motion.solve" not in sys.modules:
             os.kill(os.getppid(), signal.SIGUSR1)
         folder, files = Path(asked["folder"]), {name: Path(path) for name, path in asked["files"].items()}
@@ -405,7 +425,7 @@ def _read_on(answers: TextIO) -> None:
             answer = json.dumps([_to_json(one) for one in found])
         except MemoryError:
             os._exit(1)  # who asked says what it means
-        answers.write(answer + "\n")
+        answers.write(f"{number} {answer}\n")
         answers.flush()
 
 

@@ -27,7 +27,7 @@ from collections.abc import Callable, Collection
 from typing import Any, Final
 from urllib.parse import SplitResult, urlsplit
 
-from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, RowMapping, and_, delete, func, insert, or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from planner.issues import Issue
@@ -42,6 +42,8 @@ SECRET_BYTES: Final = 32
 """Length of a secret; Standard Webhooks asks for 24 to 64."""
 AGAIN_S: Final = (5.0, 300.0, 1800.0, 7200.0, 18000.0, 36000.0, 50400.0, 72000.0)
 """Waiting times [s] behind each attempt that failed, as Standard Webhooks proposes them: 52 hours in all."""
+LATEST_S: Final = 1.1 * AGAIN_S[-1]
+"""Nothing is due later than in so long [s]."""
 ANSWER_S: Final = 15.0
 """Time [s] in which an address has to answer."""
 HELD_S: Final = 90.0
@@ -127,9 +129,14 @@ def _put(db: Connection, webhook: str, kind: str, data: dict[str, Any]) -> None:
     db.execute(insert(DELIVERIES).values(row))
 
 
-def forget(db: Connection) -> None:
+def _is_due(now: ColumnElement[float]) -> ColumnElement[bool]:
+    """What is due later than anything may be was put in by a clock that has been set back since."""
+    return or_(DELIVERIES.c.due <= now, DELIVERIES.c.due > now + LATEST_S)
+
+
+def forget(database: Database, db: Connection) -> None:
     """Drop what nobody has sent for long: no host of this store tells addresses, or the token was revoked."""
-    db.execute(delete(DELIVERIES).where(DELIVERIES.c.due < time.time() - FORGOTTEN_S))
+    db.execute(delete(DELIVERIES).where(DELIVERIES.c.due < database.clock() - FORGOTTEN_S))
 
 
 def signature(secret: str, number: str, seconds: int, body: str) -> str:
@@ -202,7 +209,7 @@ class Webhooks:
             .join(WEBHOOKS, WEBHOOKS.c.id == DELIVERIES.c.webhook)
             .where(
                 and_(
-                    DELIVERIES.c.due <= now,
+                    _is_due(now),
                     WEBHOOKS.c.off.is_(None),
                     WEBHOOKS.c.owner.not_in(busy),
                     or_(WEBHOOKS.c.owner == LOCAL, WEBHOOKS.c.owner.in_(in_force)),
@@ -213,7 +220,7 @@ class Webhooks:
             .with_for_update(of=DELIVERIES, skip_locked=True)
         )
         with self._database.read() as db:  # most looks find nothing, and readers keep no writer waiting
-            if db.execute(select(DELIVERIES.c.id).where(DELIVERIES.c.due <= now).limit(1)).first() is None:
+            if db.execute(select(DELIVERIES.c.id).where(_is_due(now)).limit(1)).first() is None:
                 return None
         with self._database.write() as db:
             row = db.execute(query).mappings().first()

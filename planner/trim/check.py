@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -36,14 +37,17 @@ LEAST_RISE: Final = 15.0 * DEG
 """A torch must rise from the flat sheet by this angle [rad] at least, or it never reaches the safe plane."""
 
 
-def curve_issues(wanted: Sequence[Wanted], opening: FloatArray, reach: float) -> Iterator[Issue]:
+def curve_issues(
+    wanted: Sequence[Wanted], opening: FloatArray, reach: float, tolerance: float
+) -> Iterator[Issue]:
     """Curves that cross themselves or each other, lie in the waste of another one, or leave the ``opening``
-    (K, 2) [m] of the clamp, with all that is cut ``reach`` [m] beside them."""
+    (K, 2) [m] of the clamp, with all that is cut ``reach`` [m] beside them; and those between which nothing
+    is sure to stay, as the edges of both may be off by the ``tolerance`` [m]."""
     free = shapely.Polygon(opening)
     for one in wanted:
         name = one.spec.name
         if not one.area.is_valid:
-            what = f"{name}: {shapely.is_valid_reason(one.area)} [m]: the curve crosses itself"
+            what = f"{name}: the curve crosses itself{_where(shapely.is_valid_reason(one.area))}"
             yield Issue("trim.crosses", what, hint="draw it anew, as one closed curve that meets nothing")
             continue
         side = 0.0 if one.inside else reach
@@ -68,10 +72,31 @@ def curve_issues(wanted: Sequence[Wanted], opening: FloatArray, reach: float) ->
             what = f"{names} cross or meet, at ({where[0]:.1f}, {where[1]:.1f}) mm"
             yield Issue("trim.crosses", what, hint="move one of them, or join them to one curve")
             continue
+        between = float(shapely.distance(one.area.exterior, other.area.exterior))
+        if between < 2.0 * tolerance:
+            near = shapely.get_coordinates(shapely.shortest_line(one.area.exterior, other.area.exterior))
+            x, y = near.mean(axis=0) / MM
+            what = (
+                f"{names} come within {between / MM:.2f} mm of each other, at ({x:.1f}, {y:.1f}) mm; as both "
+            )
+            what += f"edges may be off by shape_tol_mm, allowed are {2.0 * tolerance / MM:g} mm or more"
+            hint = "move them apart, join them to one curve, or take a smaller shape_tol_mm"
+            value, limit = between / MM, 2.0 * tolerance / MM
+            yield Issue("trim.crosses", what, value=value, limit=limit, unit="mm", hint=hint)
+            continue
         for a, b in ((one, other), (other, one)):
             if bool(a.waste(b.laid.point[:1, :2])[0]):
                 what = f"{b.spec.name} lies in what {a.spec.name} lets drop, so that nothing is cut there"
                 yield Issue("trim.in_waste", what, hint="leave it out, or turn drops of one of them")
+
+
+def _where(reason: str) -> str:
+    """The place of a fault as GEOS tells it [m], in words; nothing where it tells none."""
+    found = re.search(r"\[(\S+) (\S+)\]", reason)
+    if found is None:
+        return ""
+    x, y = (round(float(number) / MM, 1) + 0.0 for number in found.groups())  # no -0.0
+    return f", at ({x:.1f}, {y:.1f}) mm"
 
 
 def _nearest(one: Wanted, free: shapely.Polygon) -> int:

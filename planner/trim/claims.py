@@ -159,11 +159,10 @@ def _outline(one: OutlineFile) -> TrimOutline:
         inside=one.drops == "inside",
         joints=one.joints,
         width=one.joint_mm * MM,
-        layers=() if one.drawing is None else one.drawing.layers or (None,),
     )
 
 
 def _drawn(one: OutlineFile) -> DrawnCurve | None:
     if one.drawing is not None:
-        return DrawnCurve("dxf", (), Path(one.drawing.file), one.drawing.unit)
+        return one.drawing.drawn()
     return None if one.curve is None else dataclasses.replace(one.curve.drawn(), z_mm=None)

@@ -19,10 +19,12 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Hole, Stock
+from planner.reading import rhino
 from planner.reading.drawing import read_dxf
+from planner.reading.drawing_file import DrawingFile
 from planner.reading.part_ruled import GuideFile, guide
 from planner.reading.sheet import SheetMeshFile
-from planner.reading.strict_yaml import FileName, Name, Strict, Unit
+from planner.reading.strict_yaml import Name, Strict
 
 Signal = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
 
@@ -32,18 +34,6 @@ class CircleFile(Strict):
 
     at_mm: Annotated[tuple[float, float], Field(description="its middle, in the sheet's frame")]
     diameter_mm: Annotated[float, Field(gt=0, le=10_000)]
-
-
-class DrawingFile(Strict):
-    """All curves of a DXF file, or of some of its layers; each has to be closed. Needs the extra ``cad`` of
-    Tandem."""
-
-    file: FileName
-    unit: Unit
-    layers: Annotated[
-        tuple[Annotated[str, Field(min_length=1, max_length=255)], ...] | None,
-        Field(min_length=1, max_length=50, description="of the file, one after the other; none: all of it"),
-    ] = None
 
 
 class OutlineFile(Strict):
@@ -74,17 +64,12 @@ class OutlineFile(Strict):
     @classmethod
     def _drawing_from_there(cls, value: DrawingFile | None, info: ValidationInfo) -> DrawingFile | None:
         folder: Path = (info.context or {}).get("folder", Path())
-        return None if value is None else value.model_copy(update={"file": str(folder / value.file)})
+        return None if value is None else value.looked_up(folder)
 
     @model_validator(mode="after")
     def _one(self) -> Self:
         if [self.curve, self.circle, self.drawing].count(None) != 2:
             raise ValueError("give exactly one of curve, circle and drawing")
-        own = self.drawing.layers if self.drawing is not None else None
-        if own is not None and len({layer.lower() for layer in own}) != len(own):
-            raise ValueError("drawing: a layer stands twice in layers; name each once")
-        if self.curve is not None and self.curve.rhino is not None:
-            raise ValueError("curves to cut are not read from Rhino files; save them as DXF (dxf:)")
         return self
 
 
@@ -312,8 +297,11 @@ CIRCLE_POINTS: Final = 720
 """Points of a circle."""
 MOST_OUTLINES: Final = 500
 """Curves of an operation at most, those of drawings among them."""
-_READ: dict[str, tuple[FloatArray, ...]] = {}
-"""Curves by all that is stated of them."""
+_READ: dict[tuple[str, int, int], tuple[FloatArray, ...]] = {}
+"""Curves by all that is stated of them, and by when their file was written and how long it is: a drawing may
+be changed while a process goes on."""
+MOST_READ: Final = 1000
+"""Curves that are kept at most."""
 
 
 def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
@@ -325,8 +313,10 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
     """
     out: list[tuple[OutlineFile, FloatArray]] = []
     for one in op.outlines:
-        key = one.model_dump_json()
+        key = one.model_dump_json(), *_written(one)
         if key not in _READ:
+            while len(_READ) >= MOST_READ:
+                _READ.pop(next(iter(_READ)))
             _READ[key] = (outline_points(one),) if one.drawing is None else _drawn(one, one.drawing)
         if one.drawing is None:
             out.append((one, _READ[key][0]))
@@ -353,17 +343,26 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
     return out
 
 
+def _written(one: OutlineFile) -> tuple[int, int]:
+    """When the file of an outline was written, and its length; of one without a file nothing."""
+    own = one.drawing or (None if one.curve is None else one.curve.dxf)
+    try:
+        found = None if own is None else Path(own.file).stat()
+    except OSError:  # told by who reads it
+        found = None
+    return (0, 0) if found is None else (found.st_mtime_ns, found.st_size)
+
+
 def _drawn(one: OutlineFile, drawing: DrawingFile) -> tuple[FloatArray, ...]:
     """The curves of a drawing, layer by layer. Raises ``TandemError``: issues of files, ``trim.open``."""
     path, field = Path(drawing.file), f"operations.outlines.{one.name}.drawing"
     out: list[FloatArray] = []
     issues: list[Issue] = []
-    for layer in drawing.layers or (None,):
-        for curve in read_dxf(path, LENGTH_UNITS[drawing.unit], layer, field)[0]:
-            name = f"{one.name}_{len(out) + 1}"
-            if not curve.closed:
-                issues.append(_open(f"{path.name}: {name}", curve.points, field))
-            out.append(curve.points)
+    for curve in drawing.curves(field)[0]:
+        name = f"{one.name}_{len(out) + 1}"
+        if not curve.closed:
+            issues.append(_open(f"{path.name}: {name}", curve.points, field))
+        out.append(curve.points)
     if issues:
         raise TandemError(issues)
     return tuple(out)
@@ -390,15 +389,17 @@ def outline_points(one: OutlineFile) -> FloatArray:
     curve = one.curve
     if curve is None:
         raise ValueError("an outline is a curve or a circle")
-    if curve.dxf is not None:
-        _require_closed(curve, field)
+    _require_closed(curve, field)
     return guide(curve, True, Path(), field)[0].points
 
 
 def _require_closed(curve: GuideFile, field: str) -> None:
     """Raises ``TandemError`` (trim.open) for a drawing with open curves, which no slot goes round."""
-    if curve.dxf is None:
+    if (own := curve.dxf) is not None:
+        found, file = read_dxf(Path(own.file), LENGTH_UNITS[own.unit], own.layer, f"{field}.dxf")[0], own.file
+    elif curve.rhino is not None:
+        found, file = rhino.curves(curve.rhino, Path(), f"{field}.rhino")[0], curve.rhino.file
+    else:
         return
-    found = read_dxf(Path(curve.dxf.file), LENGTH_UNITS[curve.dxf.unit], curve.dxf.layer, f"{field}.dxf")[0]
     if len(found) == 1 and not found[0].closed:
-        raise TandemError(_open(f"{Path(curve.dxf.file).name}: the curve", found[0].points, field))
+        raise TandemError(_open(f"{Path(file).name}: the curve", found[0].points, field))

@@ -18,6 +18,8 @@ STARTS: Final = 48
 """Places about a curve at which a slot is tried to begin."""
 GAP: Final = 1.5 * MM
 """Where the middle of a slot has no place for so long [m], the curve is narrower there than the slot."""
+LEAST_ROUND: Final = 0.5
+"""The middle of a slot is so many half widths long at least."""
 LEAD_SPACING: Final = 0.5 * MM
 """Distance [m] of places of ways in and out."""
 LEAD_PLACES: Final = 5
@@ -102,8 +104,10 @@ def slots(op: Trim, one: Wanted, others: list[Wanted], face: Face, kerf: float) 
 def _require_whole(one: Wanted, middle: FloatArray, half: float, tolerance: float) -> None:
     """Whether the middle of the slot goes all the way round, and near enough to all of the curve."""
     step = np.linalg.norm(np.diff(np.concatenate([middle, middle[:1]]), axis=0), axis=1) if len(middle) else 0
-    if len(middle) < 8 or float(np.max(step)) > GAP:
-        where = one.laid.point[0] if len(middle) < 2 else middle[int(np.argmax(step))]
+    # a middle that shrinks to a place goes round nothing
+    round_it = len(middle) >= 8 and float(np.sum(step)) > LEAST_ROUND * half
+    if not round_it or float(np.max(step)) > GAP:
+        where = middle[int(np.argmax(step))] if round_it else one.laid.point.mean(axis=0)
         what = f"{one.spec.name}: about ({where[0] / MM:.1f}, {where[1] / MM:.1f}) mm the waste is narrower "
         what += f"than the kerf of {2.0 * half / MM:g} mm, so that its slot does not close"
         raise TandemError(

@@ -24,7 +24,7 @@ from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.replay.motion import differences
 from planner.verify.rules.wire import feed_speed
-from planner.verify.urscript.parser import without_comments as without_hash_comments
+from planner.verify.urscript.words import without_comments as without_hash_comments
 from planner.verify.wire.wire_motion import Wire
 
 

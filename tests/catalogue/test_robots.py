@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from planner.catalogue import robots
 from planner.catalogue.robots import OpwParameters
-from planner.cell.kinematics import link_frames
+from planner.cell.kinematics import forward, link_frames
 from planner.issues import TandemError
 
 ALL = robots.robot_names()
@@ -19,7 +20,7 @@ README = Path(__file__).parents[2] / "README.md"
 def test_there_are_more_than_forty_robots_each_with_sources() -> None:
     assert len(ALL) >= 40
     assert len({robots.robot(name).title for name in ALL}) == len(ALL)
-    assert f"{len(ALL)} arms of ABB and KUKA" in README.read_text("utf-8")
+    assert f"{len(ALL)} arms of ABB, Fanuc, KUKA and Yaskawa" in README.read_text("utf-8")
     for name in ALL:
         robot = robots.robot(name)
         assert robot.name == name
@@ -58,6 +59,45 @@ def test_lengths_are_those_of_ros_industrial(name: str) -> None:
     points = np.cumsum(steps, axis=0)
     frames = link_frames(robots.robot(name), np.zeros(6))
     np.testing.assert_allclose(frames[[1, 2, 4, 6], :3, 3], points[[1, 2, 4, 6]], atol=1e-12)
+
+
+JOINTS = {
+    # axis and <origin xyz> [m] of joints 1 to 6, way to the flange and its rpy [deg], as the makers' files
+    # state them: FANUC-CORPORATION/fanuc_description@250d3fa fanuc_crx_description/urdf, to fanuc_flange
+    "crx5ia": "z 0 0 .185, y 0 0 0, -y 0 0 .41, -x 0 0 0, -y .43 0 0, -x 0 -.13 0, .145 0 0 180 -90 0",
+    "crx10ia": "z 0 0 .245, y 0 0 0, -y 0 0 .54, -x 0 0 0, -y .54 0 0, -x 0 -.15 0, .16 0 0 180 -90 0",
+    "crx10ia_l": "z 0 0 .245, y 0 0 0, -y 0 0 .71, -x 0 0 0, -y .54 0 0, -x 0 -.15 0, .16 0 0 180 -90 0",
+    "crx20ia_l": "z 0 0 .245, y 0 0 0, -y 0 0 .71, -x 0 0 0, -y .54 0 0, -x 0 -.15 0, .16 0 0 180 -90 0",
+    "crx30ia": "z 0 0 .37, y 0 0 0, -y 0 0 .95, -x 0 0 0, -y .75 0 0, -x 0 -.185 0, .18 0 0 180 -90 0",
+    # ros-industrial/motoman@433be15 motoman_hc10_support and motoman_hc20_support, to tool0
+    "hc10": "z 0 0 .275, y 0 0 0, -y 0 0 .7, z 0 0 -.5, -y 0 .162 0, z 0 0 0, 0 0 -.13 180 0 0",
+    "hc10dtp": "z 0 0 .275, y 0 0 0, -y 0 0 .7, -x .5 0 0, -y 0 .162 0, -x 0 0 0, .17 0 0 180 -90 0",
+    "hc20": "z 0 0 .38, y 0 0 0, -y 0 0 .82, -x .88 0 0, -y 0 0 0, -x 0 0 0, .2 0 0 180 -90 0",
+}
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_the_flange_goes_as_the_joints_of_the_makers_file_do(name: str) -> None:
+    """Turned joint by joint by scipy, at random postures."""
+    *joints, flange = (row.split() for row in JOINTS[name].split(","))
+    q = np.random.default_rng(19).uniform(-np.pi, np.pi, (300, 6))
+    turn, place = Rotation.identity(300), np.zeros((300, 3))
+    for (axis, *xyz), angle in zip(joints, q.T, strict=True):
+        place = place + turn.apply(np.array(xyz, dtype=np.float64))
+        vector = (-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])]
+        turn = turn * Rotation.from_rotvec(angle[:, None] * vector)
+    place = place + turn.apply(np.array(flange[:3], dtype=np.float64))
+    turn = turn * Rotation.from_euler("xyz", np.array(flange[3:], dtype=np.float64), degrees=True)
+    pose = forward(robots.robot(name), q)
+    np.testing.assert_allclose(pose[:, :3, 3], place, atol=1e-12)
+    np.testing.assert_allclose(pose[:, :3, :3], turn.as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [name for name in JOINTS if name.startswith("crx")])
+def test_the_reach_of_a_crx_is_to_its_flange(name: str) -> None:
+    form = robots.robot(name).form
+    radius = np.hypot(form.c2 + form.c3 + form.c4, form.b3)
+    assert radius == pytest.approx(robots.robot(name).reach, abs=6e-4)
 
 
 PRESETS = {
@@ -161,6 +201,7 @@ def test_every_robot_has_a_home_with_its_upper_arm_upright_and_its_forearm_level
     robot = robots.robot(name)
     assert robot.limit_margin(robot.home) > 0.0
     theta = robot.form.signs * robot.home - robot.form.offsets
-    np.testing.assert_allclose(theta[:3], [0.0, 0.0, np.pi / 2], atol=1e-12)
     down = 0.0 if isinstance(robot.form, OpwParameters) else np.pi / 2  # an offset wrist points down
-    np.testing.assert_allclose(theta[3:], [0.0, down, 0.0], atol=1e-12)
+    off = theta[:5] - [0.0, 0.0, np.pi / 2, 0.0, down]
+    np.testing.assert_allclose(off, 2.0 * np.pi * np.round(off / (2.0 * np.pi)), atol=1e-12)
+    assert robot.home[5] == 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.catalogue import robots
 from planner.geometry.arrays import Shape, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.tooling import Tool, plain, wire_holder
@@ -33,11 +34,9 @@ def ball(radius: float = 0.03, out: float = 0.30) -> Tool:
 
 
 def alone(robot: str, tool: Tool | None = None, obstacles: tuple[Obstacle, ...] = ()) -> Cell:
-    """One arm at the origin, at home in its controller's upright posture."""
-    home = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0] if robot.startswith("kr") else [0.0] * 6
-    return Cell(
-        "alone", (Arm("arm", robot, np.eye(4), tool or ball(), np.deg2rad(home)),), obstacles, Controller()
-    )
+    """One arm at the origin, at its own home: the upper arm upright, the forearm level."""
+    arm = Arm("arm", robot, np.eye(4), tool or ball(), robots.robot(robot).home)
+    return Cell("alone", (arm,), obstacles, Controller())
 
 
 def random_joints(seed: int, count: int) -> dict[str, np.ndarray]:

@@ -33,6 +33,7 @@ def test_the_cells_are_there() -> None:
         "irb6640_track",
         "kr60_engrave",
         "kr60_mill",
+        "kr60_positioner",
         "kr60_track",
         "two_irb1200",
         "two_irb140_apart",

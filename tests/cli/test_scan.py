@@ -4,6 +4,7 @@ proof says to files of adjustments that are wrong, and to scans that are others.
 from __future__ import annotations
 
 import csv
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -91,7 +92,10 @@ def test_the_next_part_is_planned_and_proven_and_says_from_which_scan(outcome: O
     (rule,) = (one for one in outcome.proof.rules if one.code == "verify.springback")
     assert rule.ran
     assert 0.0 < rule.worst < 100.0
-    assert "How much too shallow the next one is foretold" in (folder / "page.html").read_text()
+    page = (folder / "page.html").read_text()
+    assert "How much too shallow the next one is foretold" in page
+    before, foretold, _ = re.findall(r'<text x="356" y="14">([\d.]+) mm', page)
+    assert before == foretold  # on one scale
     operation = yaml.safe_load((folder / "next" / "next.yaml").read_text())["operations"][0]
     # the problem stands alone: both files lie beside it
     for name in (operation["springback"]["file"], operation["springback"]["scan"]["file"]):

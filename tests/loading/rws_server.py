@@ -56,7 +56,8 @@ def fingerprint(pem: Path) -> str:
 
 class Controller:
     """State of the pretended controller, and what it was asked for. ``fail`` {part of "VERB path": status};
-    ``drop``: parts of requests at which the connection breaks; ``cut``: bytes that get lost of each file."""
+    ``drop``: parts of requests at which the connection breaks; ``cut``: bytes that get lost of each file;
+    ``lies`` {part of a path: what is answered there}; ``halves``: part of a path whose answers break off."""
 
     def __init__(self, version: int = 1, tls: Path | None = None) -> None:
         self.version = version
@@ -71,6 +72,8 @@ class Controller:
         self.drop: set[str] = set()
         self.nonce, self.expires = "n1", 0  # after so many requests the nonce is another one
         self.short = False  # whether lists of instances tell their names alone
+        self.lies: dict[str, bytes] = {}
+        self.halves = ""
         self.cut, self.slow, self.asked = 0, 0.0, list[tuple[str, str]]()
         outer = self
 
@@ -121,9 +124,20 @@ class Controller:
         if refusal := self.media(h):
             self.send(h, refusal, b"media type")
             return
+        for part, lie in self.lies.items():
+            if part in h.path:
+                self.send(h, 200, lie)
+                return
         query = {k: v[0] for k, v in parse_qs(parts.query).items()}
         form = {k: v[0] for k, v in parse_qs(body.decode("latin-1")).items()} if h.command == "POST" else {}
         code, content = self.reply(h.command, unquote(parts.path), body, query, form)
+        if self.halves and self.halves in unquote(h.path):
+            h.send_response(code)
+            h.send_header("Content-Length", str(len(content)))
+            h.end_headers()
+            h.wfile.write(content[: len(content) // 2])
+            h.close_connection = True
+            return
         self.send(h, code, content)
 
     def media(self, h: BaseHTTPRequestHandler) -> int:

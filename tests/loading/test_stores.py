@@ -18,6 +18,7 @@ from pyftpdlib.servers import ThreadedFTPServer
 
 from planner.issues import TandemError
 from planner.loading import download, upload
+from planner.loading import store as stores
 from planner.loading.http_link import Login, Trust
 from planner.loading.proven import Proven
 from planner.loading.store import Ftp, Share
@@ -107,11 +108,44 @@ def test_ftp_that_refuses_or_is_not_there_is_told(server: tuple[str, Any, Path])
         (Login("kuka", "secret"), "ftp://127.0.0.1:1/", "upload.controller"),
         (Login("kuka", "secret"), "ftp:///folder", "upload.address"),
         (Login("kuka", "secret"), "ftp://a:b@host/", "upload.address"),
+        (Login("kuka", "secret"), "ftp://host:70000/", "upload.address"),
+        (Login("kuka", "secret"), "ftp://[::1/", "upload.address"),
+        (Login("kuka", "secret\r\nDELE x"), url, "upload.address"),
     ):
         with pytest.raises(TandemError) as caught:
             Ftp(place, login, 2.0)
         assert caught.value.issues[0].code == code, place
         assert "secret" not in str(caught.value)
+
+
+class Renames(AbstractedFS):
+    """A server that has names of its own for what it gets."""
+
+    def open(self, filename: str, mode: str) -> Any:
+        return super().open(f"{filename}.1" if "w" in mode else filename, mode)
+
+
+def test_ftp_servers_of_other_kinds(
+    server: tuple[str, Any, Path], result: Proven, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url, handler, root = server
+    handler.banner, handler.encoding = "Begr\xfc\xdfung", "latin-1"  # as on Windows
+    (root / os.fsdecode(b"\xdcbung.src")).write_bytes(b"DEF x()")
+    (root / "\xdc").mkdir()
+    store = Ftp(url, Login("kuka", "secret"), 5.0)
+    sent = upload.to_store(store, result)
+    assert download.fetch(store, sent.folder) == dict(result.files)
+    monkeypatch.setattr(stores, "MOST_BYTES", 100)
+    with pytest.raises(TandemError, match="over 100 bytes"):
+        download.fetch(store, sent.folder)
+    monkeypatch.undo()
+    handler.abstracted_fs = Renames
+    store = Ftp(url, Login("kuka", "secret"), 5.0)
+    with pytest.raises(TandemError, match=r"nothing came back, .*take it away by hand"):
+        upload.to_store(store, result)
+    with pytest.raises(TandemError, match="control characters"):
+        store.read("x\r\nDELE y")
+    store.close()
 
 
 def test_ftp_by_tls_trusts_the_pinned_certificate_alone(tmp_path: Path, result: Proven) -> None:

@@ -174,6 +174,74 @@ def test_tools_are_compared_with_the_text_of_the_module(controller: Controller, 
     assert upload.to_controller(rws(controller), result).ready
 
 
+def wrapped(*items: dict[str, object]) -> bytes:
+    return json.dumps({"_embedded": {"_state": items}}).encode()
+
+
+LISTS = (
+    "/rw/system/options",
+    "/rw/rapid/tasks",
+    "/rw/iosystem/signals",
+    "/rw/cfg/moc/ROBOT",
+    "/rw/rapid/modules",
+)
+NOWHERE = {"base_frame_pos_x": "nan", "base_frame_pos_y": "0", "base_frame_pos_z": "0"} | {
+    f"base_frame_orient_u{k}": "0" for k in range(4)
+}
+
+
+@pytest.mark.parametrize(
+    ("body", "parts"),
+    [
+        (b"null", LISTS),
+        (b"[]", LISTS),
+        (b"{}", LISTS),
+        (b"[" * 100_000, LISTS),
+        (
+            b'{"_embedded": {}, "_links": {"next": "x"}, "state": 7}',
+            ("/rw/system/options", "/rw/cfg/moc/ROBOT"),
+        ),
+        (b'{"_embedded": {}, "_links": {"next": {"href": "http://[x"}}}', LISTS),
+        (wrapped({"_type": "rap-task-li"}, {"_type": "rap-module-info-li"}), LISTS[1:2] + LISTS[4:]),
+        (wrapped({"_type": "something", "name": "else"}), LISTS),
+        (
+            wrapped(
+                {
+                    "_type": "cfg-dt-instance",
+                    "_title": "ROB_1",
+                    "attrib": [{"_type": "cfg-ia-t", "_title": k, "value": v} for k, v in NOWHERE.items()],
+                }
+            ),
+            ("/rw/cfg/moc/ROBOT",),
+        ),
+    ],
+)
+def test_answers_that_are_none_are_never_agreement(
+    controller: Controller, result: Proven, body: bytes, parts: tuple[str, ...]
+) -> None:
+    for part in parts:
+        controller.lies = {part: body}
+        try:
+            assert not upload.to_controller(rws(controller), result).ready, part
+        except TandemError as error:  # a robot or task that is not told may be another one, too
+            assert {issue.code for issue in error.issues} <= {"upload.differs", "upload.not_looked_at"}
+
+
+def test_half_answers_and_busy_controllers_are_told(controller: Controller, result: Proven) -> None:
+    controller.halves = "/rw/rapid/execution"
+    refused(controller, result, "upload.controller", "broke off behind", "before its end")
+    controller.halves = ""
+    controller.fail = {"/rw/panel": 503}
+    refused(controller, result, "upload.controller", "cannot answer now", "503", "sessions")
+    controller.fail = {"/rw/panel": 302}
+    refused(controller, result, "upload.controller", "leads elsewhere")
+    controller.fail = {}
+    sent = upload.to_controller(rws(controller), result)
+    controller.halves = f"{sent.folder}/T_ROB1"
+    with pytest.raises(TandemError, match="broke off"):
+        download.fetch(rws(controller), sent.folder)
+
+
 @pytest.mark.parametrize("part", ["/rw/cfg", "/rw/system/options", "/rw/iosystem", "/rw/rapid/modules"])
 def test_ready_is_said_only_where_all_was_looked_at(
     controller: Controller, result: Proven, part: str
@@ -224,7 +292,7 @@ def test_base_frames_are_read_one_by_one_where_lists_are_short(either: Controlle
     assert whole["ROB_1"]["base_frame_orient_u0"] == "1.0"
 
 
-@pytest.mark.parametrize("name", ["..", "../x.mod", "/etc/x.mod", "a\\x.mod"])
+@pytest.mark.parametrize("name", ["..", "../x.mod", "/etc/x.mod", "a\\x.mod", "\x1b[31mx.mod", "\udcdcx.mod"])
 def test_a_controller_names_no_files_outside_of_its_folder(tmp_path: Path, name: str) -> None:
     class Strange(Share):
         def listing(self, folder: str) -> dict[str, bool] | None:
@@ -322,6 +390,24 @@ def test_a_result_names_the_digests_of_its_files(tmp_path: Path) -> None:
     root = tmp_path / "out" / "programs"
     there = {path.relative_to(root).as_posix(): path for path in root.rglob("*") if path.is_file()}
     assert named == {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in there.items()}
+
+
+class Endless(Share):
+    """A folder in which there is always another one."""
+
+    def listing(self, folder: str) -> dict[str, bool] | None:
+        return {"inner": True}
+
+
+def test_a_controller_without_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(TandemError, match="folders within each other"):
+        download.fetch(Endless(tmp_path), "tandem_x")
+    (tmp_path / "tandem_x").mkdir()
+    for k in range(3):
+        (tmp_path / "tandem_x" / f"{k}.mod").write_bytes(b"x" * 100)
+    monkeypatch.setattr(download, "MOST_BYTES", 250)
+    with pytest.raises(TandemError, match="give the one that upload named"):
+        download.fetch(Share(tmp_path), "tandem_x")
 
 
 def test_passwords_never_go_in_urls_or_without_tls() -> None:

@@ -54,8 +54,7 @@ def test_known_postures_are_among_the_solutions_and_all_of_them_reach_the_pose(n
     assert np.abs(reached - asked).max() < 1e-9
     turned = log_rotation(np.swapaxes(reached[:, :3, :3], 1, 2) @ asked[:, :3, :3])
     assert np.linalg.norm(turned, axis=1).max() < 1e-9
-    known = (np.where(there, gap(found, q[:, None]), np.inf) < 1e-6).any(axis=1)
-    assert known.mean() >= 0.998
+    assert is_among(found, q).mean() >= 0.9995
     count = there.sum(axis=1)
     assert count.max() > 8 and count.max() <= 16
     assert (count % 2 == 0).all()  # solutions come and go in pairs
@@ -63,6 +62,26 @@ def test_known_postures_are_among_the_solutions_and_all_of_them_reach_the_pose(n
         own = found[one][there[one]]
         apart = gap(own[:, None], own[None]) + 9.0 * np.eye(len(own))
         assert apart.min() > 1e-4
+
+
+def is_among(found, q):
+    """Whether postures (N, 6) are among the solutions (N, B, 6) of their poses."""
+    return (np.where(np.isnan(found[..., 0]), np.inf, gap(found, q[:, None])) < 1e-6).any(axis=1)
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_postures_with_the_wrist_close_by_axis_1_are_found(name):
+    """Some micrometres to 10 mm beside it, where theta 1 turns at once with theta 6. What is left out has the
+    arm stretched or folded besides."""
+    form, rng = FORMS[name], np.random.default_rng(8)
+    theta, forearm = rng.uniform(-np.pi, np.pi, (600, 6)), np.hypot(form.a2, form.c3)
+    beside, lean = 10.0 ** rng.uniform(-6.0, -2.0, 600) - form.a1, theta[:, 2] + np.arctan2(form.a2, form.c3)
+    up, out = form.c2 + forearm * np.cos(lean), forearm * np.sin(lean)
+    there = np.abs(beside) < np.hypot(up, out)  # out = up sin(theta 2) + out cos(theta 2)
+    theta, up, out, beside = theta[there], up[there], out[there], beside[there]
+    theta[:, 1] = np.arcsin(beside / np.hypot(up, out)) - np.arctan2(out, up)
+    q = (theta + form.offsets) * form.signs
+    assert is_among(inverse_kinematics(form, flange_poses(form, q)), q).mean() >= 0.94
 
 
 SSIK_HALVES = Path(__file__).with_name("offset_wrist_ssik.txt")
@@ -75,18 +94,21 @@ def test_there_are_as_many_solutions_as_ssik_finds():
     found = inverse_kinematics(GOFA.form, forward(GOFA, postures(1000, 7)))
     count = (~np.isnan(found[..., 0])).sum(axis=1)
     assert len(theirs) == 1000 and theirs.sum() == 7670
-    assert np.minimum(count, theirs).sum() >= 0.998 * theirs.sum()
-    assert (count == theirs).mean() >= 0.998
+    assert np.minimum(count, theirs).sum() >= 0.9995 * theirs.sum()
+    assert (count == theirs).mean() >= 0.9995
 
 
-@pytest.mark.parametrize("name", ["hc10_ik", "fanuc_crx10ia_ik"])
-def test_solutions_are_those_of_ssik(name):
-    """ssik has arms with figures of its own; the URDF is written here from its forward kinematics."""
+@pytest.mark.parametrize(("name", "built_in"), [("hc10_ik", "hc10"), ("fanuc_crx10ia_ik", "crx10ia")])
+def test_solutions_are_those_of_ssik(name, built_in):
+    """ssik has arms with figures of its own; the URDF is written here from its forward kinematics. They are
+    those of the arms that are built in, but for the flange of its HC10, which is on axis 5."""
     ssik = pytest.importorskip("ssik", reason="ssik is not installed (pip install ssik)")
     peer = ssik.Manipulator.from_prebuilt(name)
     chain = read_chain(urdf_of(peer.fk), "base_link", "tool0")
     found = fit(chain)
     assert isinstance(found.form, OffsetParameters) and max(found.off) < 1e-9
+    for key in ("a1", "a2", "a3", "b3", "c1", "c2", "c3", *(["c4"] if built_in != "hc10" else [])):
+        assert getattr(found.form, key) == pytest.approx(getattr(robot(built_in).form, key), abs=1e-9), key
     poses = [peer.fk(q) for q in postures(100, 5)]
     own = inverse_kinematics(found.form, np.array(poses))
     total = missed = extra = 0
@@ -96,7 +118,7 @@ def test_solutions_are_those_of_ssik(name):
         total, missed = total + len(theirs), missed + int((apart.min(axis=1) > 1e-4).sum())
         extra += int((apart.min(axis=0) > 1e-4).sum())
     assert total > 700
-    assert missed <= 0.002 * total and extra <= 0.002 * total
+    assert missed == extra == 0
 
 
 def urdf_of(fk):

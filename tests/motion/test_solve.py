@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.catalogue.robots import robot, robot_names
+from planner.catalogue.robots import OffsetParameters, robot, robot_names
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import exp_twist, from_parts
 from planner.issues import Issue, TandemError
@@ -70,7 +70,13 @@ def test_a_place_is_found_from_infeasible_starts(seed: int, targets: Targets) ->
     assert isinstance(search(there, targets, sample(targets)), Found)
 
 
-@pytest.mark.parametrize("name", robot_names())
+OFFSET = [name for name in robot_names() if isinstance(robot(name).form, OffsetParameters)]
+"""Arms with offset wrists, whose joints take longer: three of them stand for all."""
+
+
+@pytest.mark.parametrize(
+    "name", [n for n in robot_names() if n not in OFFSET or n in ("crb15000_5_95", "crx10ia", "hc10")]
+)
 def test_a_place_is_judged_without_joints_of_what_is_surely_out_of_reach(name: str) -> None:
     data = robot(name)
     chain = Chain(name, data, np.eye(4), from_parts(np.eye(3), np.array([0.0, 0.02, 0.2])), np.zeros(6))

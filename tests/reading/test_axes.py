@@ -212,6 +212,9 @@ def test_axes_beyond_arms_without_rapid_or_krl_are_refused(tmp_path: Path) -> No
     with pytest.raises(TandemError, match="written for ABB and KUKA controllers alone") as refused:
         axes.turntable(axes.TurntableFile.model_validate(table_job.TABLE), [arm], cell.controller)
     assert {issue.code for issue in refused.value.issues} == {"problem.turntable"}
+    spec = axes.PositionerFile.model_validate(positioner_job.POSITIONER)
+    with pytest.raises(TandemError, match="positioners are written for ABB and KUKA controllers alone"):
+        axes.turntable(spec, [arm], cell.controller, ("cradle",))
 
 
 # ---- positioners ----
@@ -258,7 +261,7 @@ TILTS: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     ({"range_deg": [-200, 90]}, {}, "up to 180 either way"),
     ({"home_deg": 120}, {}, "tilt.home_deg: 120 is outside the range"),
     ({"home_deg": 45}, {}, "tilt.home_deg: got 45; the block is clamped and taken off there"),
-    ({"external_axis": 2}, {}, "it is 2 (eax_b), as that of the turn axis"),
+    ({"external_axis": 2}, {}, "it is 2 (eax_b, E2), as that of the turn axis"),
     ({"bracket": ["arm"]}, {}, "'arm' is no body of the cell's obstacles; they are cradle, posts"),
     ({"speed_deg_s": 0}, {}, "speed_deg_s"),
     ({}, {"range_deg": [180, -180]}, "the least value first"),
@@ -287,9 +290,6 @@ def test_axes_that_do_not_meet_and_lean_otherwise_are_taken(tmp_path: Path) -> N
 
 
 def test_a_positioner_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    kuka = {**table_job.ARM, "robot": "kr16_2"}
-    with pytest.raises(TandemError, match="positioners are written for ABB controllers alone"):
-        positioner_job.problem(tmp_path, arms=(kuka,))
     with pytest.raises(TandemError, match="together with an arm on a track"):
         positioner_job.problem(tmp_path, arms=({**table_job.ARM, "track": TRACK},))
     cell = positioner_job.problem(tmp_path).path
@@ -298,6 +298,38 @@ def test_a_positioner_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     cell.write_text(yaml.safe_dump(data))
     with pytest.raises(TandemError, match="a turntable and a positioner under one block"):
         planner.load(cell)
+
+
+@pytest.mark.parametrize("kind", ["turntable", "positioner"])
+def test_a_kuka_controller_turns_no_farther_than_its_software_limits(tmp_path: Path, kind: str) -> None:
+    job: Any = table_job if kind == "turntable" else positioner_job
+    own = job.TABLE if kind == "turntable" else job.POSITIONER
+    wide, most = {**own, "range_deg": [-720, 180]}, {**own, "range_deg": [-358, 358]}
+    assert job.problem(tmp_path, wide).cell.turntable and job.problem(tmp_path, most, arms=(KUKA,))
+    with pytest.raises(TandemError, match="got -720 to 180; a KUKA controller has software limits") as told:
+        job.problem(tmp_path, wide, arms=(KUKA,))
+    assert [issue.field for issue in told.value.issues] == [f"cell.{kind}.range_deg"]
+
+
+def test_a_tilt_that_krl_cannot_slow_down_enough_is_told(tmp_path: Path) -> None:
+    """At one percent of 720 deg/s a point 2 m off the axis goes at 251 mm/s. The block's upper end is 1.94 m
+    above the tilt axis, and farther off it than that whichever way it is turned; farthest with its long side
+    across the axis, to which it has to be turned first."""
+    fast = {**positioner_job.TILT, "speed_deg_s": 720}
+    stock = {**positioner_job.STOCK, "size_mm": [260, 1100, 1860]}
+    positioner = {**positioner_job.POSITIONER, "tilt": fast}
+    assert positioner_job.problem(tmp_path, positioner, stock=stock).cell.turntable
+    with pytest.raises(TandemError, match="one percent of its own") as told:
+        positioner_job.problem(tmp_path, positioner, stock=stock, arms=(KUKA,))
+    (issue,) = told.value.issues
+    assert issue.field == "cell.positioner.tilt.speed_deg_s" and "STN_1 tilt takes along" in issue.message
+    top = np.array([[x, y, 1860.0] for x in (-130.0, 130.0) for y in (-550.0, 550.0)])
+    at = np.array([920.0, 10.0, 540.0]) + Rotation.from_euler("z", 10, degrees=True).apply(top)
+    far = float(np.hypot(np.linalg.norm(at[:, :2] - [900.0, 0.0], axis=1), at[:, 2] - 470.0).max())
+    told_far = float(issue.message.split(" reaches ")[1].split()[0])
+    assert 0.999 * far < told_far < 1.003 * far
+    slow = {**positioner, "tilt": {**fast, "speed_deg_s": 600}}
+    assert positioner_job.problem(tmp_path, slow, stock=stock, arms=(KUKA,)).cell.turntable
 
 
 def test_work_that_counts_on_gravity_takes_no_tilted_block(tmp_path: Path) -> None:

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from planner.geometry import mesh_files
 from planner.geometry.mesh_files import read_mesh
 from planner.issues import TandemError
 from planner.reading.part_surfaces import FaceMeshFile, FrontFile, build_faces, surface
 from planner.service.upload_reader import mesh_size
-from planner.verify.files import UnreadError
+from planner.verify.files import UnreadError, packed_meshes
 from planner.verify.files.meshes import mesh_face, read_facets
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
@@ -142,6 +143,39 @@ def test_bad_3mf_files_are_refused_in_words(tmp_path: Path, text: str, words: st
     path = packed(tmp_path / "a.3mf", text)
     with pytest.raises(TandemError, match=words):
         read_mesh(path, None)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "count", "words"),
+    [
+        ("<mesh><vertices/><triangles/></mesh>", 10, "over 1000 times"),
+        (
+            SHEET.format("")
+            .replace("</triangles>", '<triangle v1="0" v2="1" v3="2"/>' * 600 + "</triangles>")
+            .replace("<vertices>", "<vertices>" + '<vertex x="0" y="0" z="0"/>' * 4),
+            9,
+            "too many facets",
+        ),
+    ],
+)
+def test_components_that_multiply_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mesh: str, count: int, words: str
+) -> None:
+    """A file of a few kilobytes that is placed in itself again and again: it was read for ever, or filled
+    the memory with facets of few vertices."""
+    for module in (mesh_files, packed_meshes):
+        monkeypatch.setattr(module, "_MOST_PLACES", 1000)
+        monkeypatch.setattr(module, "_MOST_TRIANGLES", 100_000)
+    part = "".join(
+        f'<object id="{k}"><components>{f"""<component objectid="{k - 1}"/>""" * count}</components></object>'
+        for k in range(1, 12)
+    )
+    text = f'<resources><object id="0">{mesh}</object>{part}</resources><build><item objectid="11"/></build>'
+    path = packed(tmp_path / "a.3mf", text)
+    with pytest.raises(TandemError, match=words):
+        read_mesh(path, None)
+    with pytest.raises(UnreadError, match="too often"):
+        read_facets(path)
 
 
 def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:

@@ -154,6 +154,35 @@ def test_wrong_lines_are_told_by_field(tmp_path, lines, text, code, words):
     assert loaded(tmp_path, data(tmp_path)).cell.arms[0].robot == "mine"
 
 
+@pytest.mark.parametrize(
+    ("other", "same"),
+    [
+        ({}, True),
+        ({"payload_kg": 5}, False),
+        ({"family": "generic"}, False),
+        ({"coupled_deg": [-100, 100]}, False),
+        ({"full_speed_after_s": 0.5}, False),
+        ({"home_deg": [0, 0, 10, 0, 0, 0]}, False),
+        ({"tip": "link_6"}, False),
+    ],
+)
+def test_two_arms_whose_robots_have_one_name_have_one_robot(tmp_path, other, same):
+    """Whatever makes them two, with a source for each figure too."""
+    keys = ("payload_kg", "coupled_deg", "home_deg", "full_speed_after_s")
+    source = data(tmp_path, sources=dict.fromkeys(keys, "its sheet"), home_deg=[0] * 6, tip="tool0")
+    small_problem.write(tmp_path)
+    (left,) = source["cell"]["arms"]
+    right = {**left, "name": "right", "base": {"xyz_mm": [5000, 0, 0]}}
+    right["robot"] = {**left["robot"], **other}
+    source["cell"]["arms"] = [left, right]
+    source["cell"].pop("controller", None)
+    if same:
+        assert [arm.robot for arm in loaded(tmp_path, source).cell.arms] == ["mine", "mine"]
+        return
+    told = {issue.code: issue for issue in refused(tmp_path, source)}
+    assert "is another robot in another arm" in told["problem.duplicate_name"].message
+
+
 def test_what_a_urdf_does_not_say_is_shown_as_assumed(tmp_path):
     small_problem.write(tmp_path)
     lines = {"left_out": ["piston"], "sources": {"payload_kg": "data sheet of 2020"}}

@@ -6,6 +6,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -190,7 +191,7 @@ def test_what_cannot_be_read_is_told_once_and_the_bodies_are_seen(tmp_path: Path
     problem = loaded(tmp_path, text)
     (issue,) = unseen(problem)
     assert (issue.field, issue.severity.value) == ("cell.arms.0.robot.urdf", "note")
-    for words in ("of 4 links", "broken.stl (", "hand.dae (no OBJ", "link_5", "nowhere.stl (not there)"):
+    for words in ("of 4 links", "broken.stl (", "hand.dae (", "link_5", "nowhere.stl (not there)"):
         assert words in issue.message, words
     model = modelled(problem)
     for link in ("link_3", "link_4", "link_5", "link_6"):
@@ -200,6 +201,102 @@ def test_what_cannot_be_read_is_told_once_and_the_bodies_are_seen(tmp_path: Path
     (box,) = seen(model, "left/base_link")
     assert box.color == (*link_visuals.NEUTRAL, 1.0)
     assert np.ptp(box.solid.vertices, axis=0) == pytest.approx([0.2, 0.2, 0.3])
+
+
+DAE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+  <asset><created>2026-01-01</created><modified>2026-01-01</modified>
+    <unit name="centimeter" meter="0.01"/><up_axis>Z_UP</up_axis></asset>
+  <library_effects>EFFECTS</library_effects>
+  <library_materials>
+    <material id="blue"><instance_effect url="#blue_effect"/></material>
+    <material id="plain"><instance_effect url="#plain_effect"/></material>
+  </library_materials>
+  <library_geometries><geometry id="shape"><mesh>
+    <source id="places"><float_array id="numbers" count="15">0 0 0 6 0 0 6 4 0 0 4 0 3 2 5</float_array>
+      <technique_common><accessor source="#numbers" count="5" stride="3">
+        <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+      </accessor></technique_common></source>
+    <vertices id="corners"><input semantic="POSITION" source="#places"/></vertices>
+    <polylist material="foot" count="1"><input semantic="VERTEX" source="#corners" offset="0"/>
+      <vcount>4</vcount><p>3 2 1 0</p></polylist>
+    <triangles material="sides" count="4"><input semantic="VERTEX" source="#corners" offset="0"/>
+      <p>0 1 4 1 2 4 2 3 4 3 0 4</p></triangles>
+    <lines count="1"><input semantic="VERTEX" source="#corners" offset="0"/><p>0 4</p></lines>
+  </mesh></geometry></library_geometries>
+  <library_visual_scenes><visual_scene id="scene"><node id="one">
+    <rotate>0 0 1 90</rotate><translate>1 0 0</translate>
+    <instance_geometry url="#shape"><bind_material><technique_common>
+      <instance_material symbol="foot" target="#blue"/><instance_material symbol="sides" target="#plain"/>
+    </technique_common></bind_material></instance_geometry>
+  </node></visual_scene></library_visual_scenes>
+  <scene><instance_visual_scene url="#scene"/></scene>
+</COLLADA>""".replace(
+    "EFFECTS",
+    "".join(
+        f'<effect id="{name}_effect"><profile_COMMON><technique sid="t"><lambert>{diffuse}</lambert>'
+        "</technique></profile_COMMON></effect>"
+        for name, diffuse in {"blue": "<diffuse><color>0 0.2 1 0.5</color></diffuse>", "plain": ""}.items()
+    ),
+)
+"""A pyramid of 6 by 4 by 5 cm with a blue foot, pushed along x by 1 cm and turned about z by 90 degrees."""
+PYRAMID = 0.01 * np.array([(0, 1, 0), (0, 7, 0), (-4, 7, 0), (-4, 1, 0), (-2, 4, 5)], dtype=np.float64)
+
+
+def test_a_dae_is_seen_in_its_unit_and_its_colours(tmp_path: Path) -> None:
+    """Scaled by two along z; what has no colour of its own has the URDF's."""
+    pytest.importorskip("collada", reason="pycollada is not installed (pip install 'tandem-planner[dae]')")
+    ring(tmp_path)
+    (tmp_path / "hand.dae").write_text(DAE)
+    drawn = urdf_text.drawn("mesh", (1.0, 1.0, 2.0), AT, "hand.dae", "visual", RED)
+    problem = loaded(tmp_path, with_visuals(link_6=drawn))
+    assert unseen(problem) == []
+    foot, sides = seen(modelled(problem), "left/link_6")
+    assert (foot.color, sides.color) == ((0.0, 0.2, 1.0, 1.0), (0.8, 0.1, 0.2, 1.0))
+    wanted = PYRAMID * [1.0, 1.0, 2.0]
+    for piece, corners in ((foot, wanted[:4]), (sides, wanted)):
+        assert same_points(transform(AT, piece.shape.vertices), transform(AT, corners), atol=1e-7)
+    assert len(foot.shape.faces) == 2 and len(sides.shape.faces) == 4
+    a, b, c = np.swapaxes(sides.shape.vertices[sides.shape.faces], 0, 1)
+    assert (np.cross(b - a, c - a)[:, 2] > 0.0).all()  # outwards
+    for name, content in problem_file.bundle(problem).items():  # a copy has it too
+        (tmp_path / "copy" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "copy" / name).write_bytes(content)
+    again = pipeline.load(tmp_path / "copy" / "problem.yaml")
+    assert unseen(again) == [] and len(again.cell.arms[0].data.file.looks[6]) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (DAE.replace("0 1 4 1", "0 1 9 1"), "beyond the limits"),
+        (DAE.replace('meter="0.01"', 'meter="100"'), "mm long in its own unit"),
+        (DAE.replace("3 2 5<", "3 2 inf<"), "not finite"),
+        (DAE.replace("<p>0 1 4 1", "<p>0 1 4 x"), "it cannot be read ("),
+        (DAE.replace('url="#shape"', 'url="#other"'), "it cannot be read ("),
+        (DAE[:900], "it cannot be read ("),
+        (DAE.replace('<scene><instance_visual_scene url="#scene"/></scene>', ""), "it has no scene"),
+        ("PK\x03\x04", "it is packed; unpack it"),
+    ],
+)
+def test_a_bad_dae_is_told_and_the_bodies_are_seen(tmp_path: Path, text: str, words: str) -> None:
+    pytest.importorskip("collada", reason="pycollada is not installed (pip install 'tandem-planner[dae]')")
+    ring(tmp_path)
+    (tmp_path / "hand.dae").write_text(text)
+    problem = loaded(tmp_path, with_visuals(link_6=visual("hand.dae", 1.0)))
+    (issue,) = unseen(problem)
+    assert words in issue.message
+    assert problem.cell.arms[0].data.file.looks == ()
+
+
+def test_without_its_reader_a_dae_is_told_with_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "collada", None)
+    ring(tmp_path)
+    (tmp_path / "hand.dae").write_text(DAE)
+    (issue,) = unseen(loaded(tmp_path, with_visuals(link_6=visual("hand.dae", 1.0))))
+    assert "hand.dae (DAE needs pycollada: pip install 'tandem-planner[dae]')" in issue.message
 
 
 def test_where_visuals_lie_may_be_stated(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from planner.issues import Severity, TandemError
 from planner.problem import Formed, Part
 from planner.scan import cloud, deviation, freedoms
 from planner.scan.cloud import Cloud
+from planner.verify.files.meshes import read_points
 from tests import small_forming
 from tests.forming.shapes import pit
 from tests.scan.made_scan import Field, MadeScan, made_scan, write_ply
@@ -182,6 +183,7 @@ def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh
     other = made_scan(slab, SIZE, lambda q: np.zeros(len(q)), 5)
     there = made.points @ made.pose[:3, :3].T + made.pose[:3, 3]
     flat_gone = np.abs(there[:, 2] - SIZE[2]) > 4.0 * MM
+    flat_alone = np.hypot(there[:, 0], there[:, 1]) > np.hypot(*dish.vertices[:, :2].T).max() + 2.0 * MM
     corner = (there[:, 0] > 0.005) & (there[:, 1] > 0.005)
     for name, scan, code, words in (
         ("other", other, "scan.other_part", "name the result folder of the part"),
@@ -193,6 +195,24 @@ def test_scans_that_are_none_of_the_part_are_refused_by_what_they_are(dish: Mesh
             changed(made, made.points * [-1, 1, 1], made.scan * [-1, 1, 1]),
             "scan.other_part",
             "mirrored along z",  # its marks are in a plane, and fit when it is turned over
+        ),
+        (
+            "mirrored beside its marks",
+            changed(made, made.points * [-1, 1, 1]),
+            "scan.flat",
+            "with x of the scan turned round it would lie there",
+        ),
+        (
+            "inside out",
+            changed(made, made.points, made.scan * [1, -1, 1]),
+            "scan.flat",
+            "the wrong sign of y",
+        ),
+        (
+            "a blank",
+            changed(made, made.points[flat_alone]),
+            "scan.other_part",
+            "shows the flat around it alone",
         ),
         ("as deep", alike, "scan.other_part", "places of one wanted depth differ"),
         ("no flat", changed(made, made.points[flat_gone]), "scan.flat", "scan the flat around the part"),
@@ -237,17 +257,26 @@ def test_all_kinds_of_files_say_the_same(tmp_path: Path) -> None:
     (tmp_path / "d.obj").write_text(f"# a scan\n{rows}")
     faces = np.arange(3000).reshape(-1, 3)
     trimesh.Trimesh(points, faces, process=False).export(tmp_path / "e.stl")
+    plain = "".join(f"{x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points)
+    (tmp_path / "f.xyz").write_text(f"3000\n{plain}")  # as PTS files begin
+    (tmp_path / "g.txt").write_text(f"x y z\n{plain}", encoding="utf-8-sig")
+    (tmp_path / "h.txt").write_text(f'"X","Y","Z"\n{plain}'.replace(" ", ","), encoding="utf-16")
+    (tmp_path / "i.xyz").write_bytes(f"# B\xfcro\n{plain}".encode("latin-1"))
+    (tmp_path / "j.obj").write_bytes(f"# B\xfcro\n{rows}".encode("latin-1"))
     for path in sorted(tmp_path.iterdir()):
         found = cloud.read(path, 0.001)
         assert found.file == path.name
         a, b = (one[np.lexsort(one.T)] for one in (found.points, 0.001 * points))
         np.testing.assert_allclose(a, b, atol=1e-9)
+        again = 0.001 * read_points(path)  # as the proof reads it
+        np.testing.assert_allclose(again[np.lexsort(again.T)], b, atol=1e-9)
 
 
 def test_bad_files_are_refused_in_words(tmp_path: Path) -> None:
     write_ply(tmp_path / "few.ply", np.zeros((10, 3)))
     whole = write_ply(tmp_path / "whole.ply", np.random.default_rng(1).normal(size=(3000, 3)))
     (tmp_path / "cut.ply").write_bytes(whole.read_bytes()[:5000])
+    (tmp_path / "other.xyz").write_text("x y z\n" * 2 + "1 2 3\n" * 2000)
     (tmp_path / "words.xyz").write_text("these are no points\n" * 2000)
     (tmp_path / "empty.obj").write_text("")
     (tmp_path / "commas.txt").write_text("1,5; 2,25; -3,0\n" * 2000)
@@ -259,6 +288,7 @@ def test_bad_files_are_refused_in_words(tmp_path: Path) -> None:
         ("few.ply", "got 10 points, allowed 1000"),
         ("cut.ply", "cannot be read"),
         ("words.xyz", "cannot be read"),
+        ("other.xyz", "cannot be read"),
         ("commas.txt", "its decimals have commas"),
         ("none.ply", "got 0 points"),
         ("empty.obj", "no points"),

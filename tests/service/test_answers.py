@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import gzip
 import io
+import operator
 import socket
 import time
 import zipfile
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import anyio
 import pytest
 from fastapi.testclient import TestClient
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from planner.service import security
 from planner.service.answers import HEAD_S
 from planner.service.jobs import put_files
 from planner.service.models import Database, default_url
@@ -169,6 +173,17 @@ def test_behind_the_proxy_cookies_are_secure_and_browsers_stay_with_tls(
     assert "strict-transport-security" not in clear.headers
 
 
+def test_a_page_that_came_in_clear_does_not_send_to_a_service_by_tls(closed: tuple[InProcess, str]) -> None:
+    """Of browsers that tell no ``Sec-Fetch-Site``: anybody on the way may have made that page."""
+    here, token = closed
+    proxy = TestClient(From(here.http.app, "127.0.0.1"), base_url=HERE)
+    asked = {"Authorization": f"Bearer {token}"}
+    clear, tls = {"Origin": HERE}, {"Origin": HERE.replace("http:", "https:")}
+    sent = [clear, tls, {**tls, **TLS}, {**clear, **TLS}]
+    answers = [proxy.post("/v1/session", headers={**asked, **one}) for one in sent]
+    assert [one.status_code for one in answers] == [204, 204, 204, 403]
+
+
 def test_nobody_else_is_believed_to_be_a_proxy(closed: tuple[InProcess, str]) -> None:
     here, token = closed
     stranger = TestClient(From(here.http.app, "203.0.113.77"), base_url=HERE)
@@ -197,6 +212,59 @@ def test_connections_without_a_whole_head_are_cut_off(tmp_path: Path) -> None:
         assert _answer(kept).startswith(b"HTTP/1.1 200")
     finally:
         process.stop()
+
+
+@pytest.mark.parametrize(
+    ("sizes", "every_s", "whole"),
+    [([1] * 40, 0.05, False), ([1], 9.0, False), ([900, 900, 900], 0.3, True), ([1, 1, 1], 0.1, True)],
+)
+def test_bodies_that_come_by_the_byte_are_given_up(
+    monkeypatch: pytest.MonkeyPatch, sizes: list[int], every_s: float, whole: bool
+) -> None:
+    """Also one of which nothing more comes; a slow one that goes on is taken."""
+    monkeypatch.setattr(security, "IDLE_S", 0.5)
+    pieces = iter(sizes)
+
+    async def receive() -> Message:
+        size = next(pieces)
+        await anyio.sleep(every_s)
+        return {"type": "http.request", "body": b"x" * size, "more_body": operator.length_hint(pieces) > 0}
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        while (message := await receive()).get("more_body"):
+            pass
+        got.append(message["type"])
+
+    async def send(message: Message) -> None:
+        raise AssertionError(message)
+
+    got: list[str] = []
+    scope = {"type": "http", "method": "GET", "path": "/", "scheme": "http", "headers": []}
+    with ThreadPoolExecutor(1) as pool:  # the pages' browser keeps a loop of its own running in this thread
+        pool.submit(anyio.run, security.Guard(app, 1.0, None), scope, receive, send).result(30)
+    assert got == ["http.request" if whole else "http.disconnect"]
+
+
+@pytest.mark.parametrize(("path", "kind"), [("/v1/webhooks", "json"), ("/v1/check", "yaml")])
+def test_a_connection_that_breaks_off_is_no_fault_of_the_service(
+    done: tuple[InProcess, str], caplog: pytest.LogCaptureFixture, path: str, kind: str
+) -> None:
+    said = [{"type": "http.request", "body": b"{", "more_body": True}, {"type": "http.disconnect"}]
+    parts, told = iter(said), []
+
+    async def receive() -> Message:
+        return next(parts)
+
+    async def send(message: Message) -> None:
+        told.append(message)
+
+    headers = [(b"host", b"127.0.0.1"), (b"content-type", f"application/{kind}".encode())]
+    scope = {"type": "http", "method": "POST", "path": path, "scheme": "http", "headers": headers}
+    more = {"query_string": b"", "raw_path": path.encode(), "http_version": "1.1", "root_path": ""}
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(anyio.run, done[0].http.app, {**scope, **more}, receive, send).result(30)
+    assert told[0]["status"] == 499
+    assert not [one for one in caplog.records if one.levelname == "ERROR"]
 
 
 def _answer(connection: socket.socket) -> bytes:

@@ -157,6 +157,8 @@ def test_what_is_left_out_stays_and_what_is_empty_goes(shop: Shop) -> None:
         ({"title": "a\nb"}, "title"),
         ({"title": "x" * 10_000}, "title"),
         ({"title": 3}, "title"),
+        ({"title": "\u3164"}, "title"),  # a letter that is not seen
+        ({"title": "\u200d\ufe0f"}, "title"),  # nothing that is seen by itself
         ({"title": "\ufb2c" * 67}, "title"),  # three characters each, as they are kept
         ({"tags": ["\ufb2c" * 14]}, "tags.0"),
         ({"notes": "\ufb2c" * 667}, "notes"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -76,6 +77,53 @@ def test_one_token_never_keeps_all_readers(shared: tuple[InProcess, Held, str, s
         assert {one.result().status_code for one in [*asked, other]} <= {200, 201}
         assert held.most == 3
     assert here.post(named("later"), path, headers={"Authorization": f"Bearer {ann}"}).status_code < 400
+
+
+def test_long_readings_take_turns_with_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One reader, two who send batches, one who sweeps a field, one who checks: each waits for one problem of
+    the others, and not for their batches; a second batch of one waits for the first."""
+    data, first, order = tmp_path / "data", threading.Event(), list[str]()
+    data.mkdir()
+    auth = Auth(Database(default_url(data)))
+    tokens = {name: auth.make(name) for name in ("ann", "bob", "cyd", "dan")}
+
+    def read(self: Examiners, problem: Path, *asked: Any) -> Examined:
+        text = problem.read_text()
+        (name,) = re.findall("^name: (.*)", text, re.M)
+        order.append(name if asked[-1] is None else f"{name}-{asked[-1]['operations.0.feed_mm_s']}")
+        first.wait(60)
+        return Examined((), name=name, digest=order[-1], text=text)
+
+    monkeypatch.setattr(Examiners, "examine", read)
+
+    def send(who: str, path: str, *names: str, **asked: Any) -> Any:
+        files = [("problem", (f"{name}.yaml", named(name))) for name in names]
+        headers = {"Authorization": f"Bearer {tokens[who]}"}
+        answer = here.http.post(path, files=files, params=asked, headers=headers)
+        return answer.status_code, [one["name"] for one in answer.json().get("jobs", ())]
+
+    with InProcess(data, examiners=1, require_token=True) as here, ThreadPoolExecutor(5) as pool:
+        asked = [pool.submit(send, "ann", "/v1/batches", "a0", "a1", "a2")]
+        until(lambda: order, 20)
+        swept = {"field": "operations.0.feed_mm_s", "value": ["1", "2"]}
+        for who, path, names, more in (
+            ("bob", "/v1/batches", ("b0", "b1"), {}),
+            ("cyd", "/v1/sweeps", ("c",), swept),
+            ("dan", "/v1/check", ("d",), {}),
+        ):
+            waiting = len(asked)
+            asked.append(pool.submit(send, who, path, *names, **more))
+            until(lambda now=waiting: here.service._readers.statistics().tasks_waiting == now)  # type: ignore[misc]
+        asked.append(pool.submit(send, "ann", "/v1/batches", "z0", "z1"))
+        until(lambda: sum(here.service._waiting.values()) == 5)
+        time.sleep(0.2)
+        first.set()
+        answers = [one.result() for one in asked]
+    assert answers[0] == (201, ["a0", "a1", "a2"]) and answers[1] == (201, ["b0", "b1"])
+    assert answers[2] == (201, ["c", "c"]) and answers[3][0] == 200 and answers[4] == (201, ["z0", "z1"])
+    assert order[:4] == ["a0", "b0", "c-1", "d"]
+    assert order.index("b1") < order.index("a2") and order.index("c-2") < order.index("a2")
+    assert order.index("z1") > order.index("a2")
 
 
 def test_a_closed_connection_ends_its_reading_and_its_waiting(tmp_path: Path) -> None:
@@ -238,3 +286,59 @@ def test_a_reading_that_is_broken_off_while_its_process_begins_costs_nobody_a_re
     except RefusedError as error:
         assert error.status == 499
     assert pool.submit(readers.examine, paths["second"], uploads).result(60).name == "second"
+
+
+def who_reads(reader: Reader) -> int:
+    """The process that reads: the child of the one that forks it; 0 while there is none."""
+    found = Path(f"/proc/{reader._process.pid}/task/{reader._process.pid}/children").read_text().split()
+    return int(found[0]) if found else 0
+
+
+def test_who_reads_may_be_ended_between_two_readings(
+    three: tuple[Examiners, dict[str, Path], dict[str, Path]],
+) -> None:
+    """The kernel ends who reads and has nothing to do: the reading that follows is told, or done, and no
+    later one has the answer of another."""
+    readers, paths, uploads = three
+    assert readers.examine(paths["first"], uploads).name == "first"
+    (reader,) = readers._all
+    ended = who_reads(reader)
+    os.kill(ended, signal.SIGKILL)
+    until(lambda: who_reads(reader) not in (0, ended))
+    time.sleep(0.5)
+    assert readers.examine(paths["first"], uploads).name in ("first", "")
+    for name in ("second", "third", "first"):
+        assert readers.examine(paths[name], uploads).name == name
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_reader_that_crashes_in_the_moment_it_is_broken_off(
+    three: tuple[Examiners, dict[str, Path], dict[str, Path]], monkeypatch: pytest.MonkeyPatch, begun: bool
+) -> None:
+    """The one that takes its place is ended for it, before or after it said that it begins: what follows has
+    its own answer, at once."""
+    readers, paths, uploads = three
+    large = paths["first"].with_name("large.yaml")
+    large.write_text("tandem: 1\na: [" + "x, " * 400_000 + "x]")
+    assert readers.examine(paths["first"], uploads).name == "first"
+    (reader,) = readers._all
+    reading = Reading()
+    line = Reader._line
+
+    def crash(self: Reader) -> str:
+        monkeypatch.setattr(Reader, "_line", line)
+        ended = who_reads(self)
+        os.kill(ended, signal.SIGKILL)
+        if begun:
+            until(lambda: who_reads(self) not in (0, ended))
+            time.sleep(0.5)
+        reading.break_off()
+        return line(self)
+
+    monkeypatch.setattr(Reader, "_line", crash)
+    with pytest.raises(RefusedError) as caught:
+        readers.examine(large, {}, reading=reading)
+    assert caught.value.status == 499
+    for name in ("third", "first", "second"):
+        assert readers.examine(paths[name], uploads).name == name
+    assert readers._all == {reader} and reader.alive

@@ -328,15 +328,29 @@ def test_one_owner_who_is_slow_keeps_no_other_waiting(tmp_path: Path) -> None:
     database.close()
 
 
+def test_a_clock_that_is_set_back_holds_nothing_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was to be told by a clock that was years ahead is told as soon as it is right."""
+    database, real = Database(default_url(tmp_path)), time.time
+    hooks = Webhooks(database, HOSTS)
+    monkeypatch.setattr(time, "time", lambda: real() + 3e8)
+    hooks.ping("local", hooks.add("local", "http://127.0.0.1:9/x")["id"])
+    monkeypatch.setattr(time, "time", real)
+    due = hooks.claim(())
+    assert due is not None and json.loads(due.body)["type"] == "ping"
+    hooks.sent(due, 500, "")
+    assert hooks.claim(()) is None  # it is told again in its time
+    database.close()
+
+
 def test_what_nobody_tells_is_forgotten(tmp_path: Path) -> None:
     service = Service(Options(tmp_path / "data", limits=Limits(), webhook_hosts=HOSTS), lambda: None)  # type: ignore[arg-type,return-value]
     service.webhooks.ping("local", service.webhooks.add("local", "http://127.0.0.1:9/x")["id"])
     with service.database.write() as db:
-        webhooks.forget(db)
+        webhooks.forget(service.database, db)
     assert service.webhooks.list("local")[0]["waiting"] == 1
     with service.database.write() as db:
         db.execute(update(DELIVERIES).values(due=time.time() - webhooks.FORGOTTEN_S - 1.0))
-        webhooks.forget(db)
+        webhooks.forget(service.database, db)
     assert service.webhooks.list("local")[0]["waiting"] == 0
     service.close()
 

@@ -17,8 +17,9 @@ from planner.service.jobs import Gone, Jobs, NewJob, remove
 from planner.service.models import JOBS, Database, default_url
 from planner.service.runner import MOST_ATTEMPTS, Work
 from planner.service.security import Limits
-from planner.service.storage import Blob
+from planner.service.storage import Blob, Files
 from tests.service import postgres
+from tests.service.support import Team
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -43,6 +44,50 @@ def over(database: Database) -> None:
     """As if nobody had renewed any lease in time."""
     with database.write() as db:
         db.execute(update(JOBS).values(lease=database.clock() - 1.0))
+
+
+@pytest.mark.parametrize("years", [10, -10])
+def test_a_clock_that_jumps_makes_no_job_old(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, years: int
+) -> None:
+    """Jobs are kept for 30 days; nothing is looked for that is older for a day after the jump, nor before the
+    clock was seen to go right."""
+    database, boot, clock = Database(default_url(tmp_path)), [0.0], [1.7e9]
+    monkeypatch.setattr(time, "clock_gettime", lambda which: boot[0])
+    monkeypatch.setattr(time, "time", lambda: clock[0])
+    monkeypatch.setattr(runner, "SWEEP_S", -1.0)
+    forgot: list[float] = []
+    work = Work(database, "host", 30.0)
+    monkeypatch.setattr(work, "forget", lambda *ages: forgot.append(boot[0]))
+    runs = runner.Runner(
+        work,
+        Files(tmp_path / "files"),
+        Team,
+        1,
+        tmp_path,
+        lease_s=30.0,
+        alone=True,
+        keep_s=30 * 86400.0,
+        audit_s=None,
+        shas=lambda some: set(some),
+    )
+
+    def look(seconds: float, jump: float = 0.0) -> None:
+        boot[0] += seconds
+        clock[0] += seconds + jump
+        runs._round(team)
+
+    team = Team()
+    for seconds in (0.0, 600.0, 600.0):
+        look(seconds)
+    assert forgot == [600.0, 1200.0]
+    look(600.0, years * 3.2e7)
+    for _ in range(142):
+        look(600.0)
+    assert forgot == [600.0, 1200.0]
+    look(1200.0)
+    assert len(forgot) == 3
+    database.close()
 
 
 def test_a_job_is_claimed_once(database: Database) -> None:

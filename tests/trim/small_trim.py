@@ -20,6 +20,7 @@ from planner.verify.prove import TRIM_RULES, Prover
 from planner.verify.result import Proof
 from planner.verify.trim import outlines
 from planner.verify.trim.torch_motion import Trimming
+from tests import urdf_text
 from tests.small_forming import CELLS, dish
 from tests.small_forming import write as write_forming
 
@@ -47,6 +48,8 @@ KUKA: dict[str, Any] = {"robot": "kr10_r1100", "home_deg": [0, -90, 90, 0, 60, 0
 """A KUKA arm in place of the IRB 140."""
 NUMBERS = {"doArc": 17, "diArcOk": 17}
 """Numbers of its output and of its input; they count apart."""
+UR_NUMBERS = {"doArc": 3, "diArcOk": 0}
+"""The same of the UR10e of :func:`of_ur`."""
 TRIM: dict[str, Any] = {
     "name": "cut",
     "process": "trim",
@@ -79,13 +82,13 @@ def milled(tool: dict[str, Any] | None = None, **by: Any) -> dict[str, Any]:
 
 def data(**fields: Any) -> dict[str, Any]:
     """The problem as a file has it; ``fields`` are the operation's own, ``tool`` those of the torch, or a
-    whole tool, ``arm`` and ``controller`` those of the cell."""
+    whole tool, ``arm`` and ``controller`` those of the cell, ``sheet`` those of the sheet."""
     cell = yaml.safe_load((CELLS / "irb140_ball.yaml").read_text())
     cell["arms"][0] |= fields.pop("arm", {})
     cell["controller"] = fields.pop("controller", cell["controller"])
     tool = fields.pop("tool", {})
     cell["arms"][0]["tool"] = tool if "kind" in tool else {**TORCH, **tool}
-    outlines = copy.deepcopy(fields.pop("outlines", OUTLINES))
+    outlines, sheet = copy.deepcopy(fields.pop("outlines", OUTLINES)), fields.pop("sheet", {})
     return {
         "tandem": 1,
         "name": "trimmed",
@@ -96,10 +99,22 @@ def data(**fields: Any) -> dict[str, Any]:
             "metal": "aa1100_o",
             "opening_mm": 120,
             "clamp": {"width_mm": 20, "above_mm": 10, "below_mm": 60},
+            **sheet,
         },
         "part": {"sheet_mesh": {"file": "part.ply", "unit": "mm", "face": "bottom"}},
         "settings": {"clearance_mm": 5},
         "operations": [{**TRIM, "outlines": outlines, **fields}],
+    }
+
+
+def of_ur(folder: Path, numbers: dict[str, int] | None = None) -> dict[str, Any]:
+    """Fields with a UR10e in place of the IRB 140, whose URDF is put into the folder."""
+    (folder / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
+    robot = {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}
+    return {
+        "arm": {"robot": robot, "home_deg": [0, -90, 90, -90, -90, 0]},
+        "controller": {"io": {"robot": UR_NUMBERS if numbers is None else numbers}},
+        "sheet": {"place": {"xyz_mm": [700, 0, 300]}},
     }
 
 

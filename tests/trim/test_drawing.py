@@ -20,8 +20,10 @@ from planner.verify.forming.state import Forming
 from planner.verify.prove import TRIM_RULES
 from planner.verify.trim.outlines import drawn, expanded, order, worked_out
 from planner.verify.trim.torch_motion import Trimming
+from tests.rhino_files import Model
 from tests.trim.small_trim import Job, problem
 
+rhino3dm = pytest.importorskip("rhino3dm")
 ezdxf = pytest.importorskip("ezdxf")
 CIRCLES = ((0.0, 0.0, 8.0), (20.0, 0.0, 3.0), (-20.0, 0.0, 3.0))
 """Middles and radii of the circles on the layer CUT [mm]."""
@@ -88,6 +90,15 @@ def test_planner_and_proof_read_the_same_curves(tmp_path: Path, unit: str, mm: f
         assert spans[0] == pytest.approx(spans[1], abs=5e-6)
 
 
+def test_a_drawing_that_was_changed_is_read_anew(tmp_path: Path) -> None:
+    """In a notebook, or a service, a process goes on while CAD writes the file again."""
+    drawing(tmp_path)
+    before = every_outline(job(tmp_path, outline()).operation)
+    drawing(tmp_path, extra=lambda space: space.add_circle((0, -20), 3, dxfattribs={"layer": "CUT"}))
+    made = job(tmp_path, outline())
+    assert len(every_outline(made.operation)) == len(before) + 1 == len(expanded(claim_of(made)).outlines)
+
+
 def test_inner_curves_come_first_and_layers_choose(tmp_path: Path) -> None:
     def rim(space: Any) -> None:
         space.add_circle((0, 0), 36, dxfattribs={"layer": "RIM"})
@@ -135,20 +146,62 @@ def test_names_that_cannot_be_told_apart_and_layers_that_are_not_there(tmp_path:
     found = refused(tmp_path, outline(layers=["CUTS"]))
     assert [issue.code for issue in found] == ["part.dxf"] and "CUT" in found[0].message
     with pytest.raises(TandemError):
-        problem(tmp_path, outlines=[outline(layers=["CUT", "cut"])])
-    with pytest.raises(TandemError):
         problem(tmp_path, outlines=[{**outline(), "circle": {"at_mm": [0, 0], "diameter_mm": 6}}])
 
 
 def test_a_claim_that_names_no_file_is_not_taken_for_no_curves(tmp_path: Path) -> None:
     drawing(tmp_path)
     claim = claim_of(job(tmp_path, outline()))
-    bare = dataclasses.replace(claim.outlines[0], drawn=None)
+    bare = dataclasses.replace(
+        claim.outlines[0], drawn=dataclasses.replace(claim.outlines[0].drawn, file=None)
+    )
     with pytest.raises(UnreadError):
         expanded(dataclasses.replace(claim, outlines=(bare,)))
-    none = dataclasses.replace(claim.outlines[0], layers=("NOTHING",))
+    nothing = dataclasses.replace(claim.outlines[0].drawn, layers=("NOTHING",))
+    none = dataclasses.replace(claim.outlines[0], drawn=nothing)
     with pytest.raises(UnreadError):
         expanded(dataclasses.replace(claim, outlines=(none,)))
+
+
+def test_curves_of_a_rhino_file_are_cut_alike(tmp_path: Path) -> None:
+    """In inches, on a layer in a layer; what is hidden, and what is on others, is not."""
+    made = Model("Inches")
+    made.layer("work")
+    made.layer("cut", parent="work")
+    made.layer("off", parent="work", visible=False)
+    for layer in ("cut", "off"):
+        for x, y, r in CIRCLES:
+            centre = rhino3dm.Point3d(x / 25.4, y / 25.4, 0.0)
+            made.add(rhino3dm.NurbsCurve.CreateFromCircle(rhino3dm.Circle(centre, r / 25.4)), layer)
+    made.write(tmp_path / "apertures.3dm")
+    drawing(tmp_path)
+    both = []
+    one = {"curve": {"rhino": {"file": "apertures.3dm", "layer": "work::cut"}}}
+    for own in (outline(layers=["CUT"]), outline(file="apertures.3dm", unit=None, layers=["work::cut"])):
+        made_job = job(tmp_path, own)
+        whole = expanded(claim_of(made_job))
+        assert [row.name for row in whole.outlines] == ["a_1", "a_2", "a_3"]
+        both.append([drawn(row) for row in whole.outlines])
+        for (_, points), (x, y, r) in zip(every_outline(made_job.operation), CIRCLES, strict=True):
+            assert np.abs(np.hypot(*(1e3 * points[:, :2] - [x, y]).T) - r).max() < 3e-3
+    for ring, (x, y, r) in zip(both[1], CIRCLES, strict=True):
+        assert np.abs(np.hypot(*(1e3 * ring - [x, y]).T) - r).max() < 2e-3
+    found = refused(tmp_path, {"name": "a", **one})
+    assert [issue.code for issue in found] == ["part.rhino"] and "holds 3 curves" in found[0].message
+
+
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        ({"unit": None}, "a DXF file needs its unit"),
+        ({"colour": "#ff0000"}, "name and colour are of objects of Rhino files"),
+        ({"layers": ["CUT", "cut"]}, "a layer stands twice"),
+    ],
+)
+def test_what_a_drawing_may_say(tmp_path: Path, own: dict[str, Any], words: str) -> None:
+    drawing(tmp_path)
+    with pytest.raises(TandemError, match=words):
+        problem(tmp_path, outlines=[outline(**own)])
 
 
 @pytest.mark.long

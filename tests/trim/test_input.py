@@ -19,8 +19,7 @@ from planner.trim.face import Face, apart, lay, offset
 from planner.verify.trim.outlines import winding
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
-from tests.trim.small_trim import data, problem
-from tests.verify import ur_job
+from tests.trim.small_trim import data, of_ur, problem
 
 ROUND = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
 
@@ -77,10 +76,35 @@ def test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps(tmp_pat
     assert made.count > 10
 
 
+@pytest.mark.parametrize(
+    ("circles", "code", "words"),
+    [
+        ([(0, 10), (10, 10)], "trim.crosses", "within 0.00 mm of each other, at (5.0, 0.0) mm"),
+        ([(0, 10), (10.3, 10)], "trim.crosses", "allowed are 0.6 mm or more"),  # each edge may be off by 0.3
+        ([(0, 1.2)], "trim.narrow", "narrower than the kerf of 1.2 mm"),  # its slot would be one place
+    ],
+)
+def test_where_nothing_is_sure_to_stay_or_to_drop(
+    tmp_path: Path, circles: list[tuple[float, float]], code: str, words: str
+) -> None:
+    lead: dict[str, Any] = {"lead": {"length_mm": 1.5}, "pierce": {"off_mm": 1.0}}
+    drawn = [
+        {"name": f"c{k}", "circle": {"at_mm": [x, 0], "diameter_mm": d}} for k, (x, d) in enumerate(circles)
+    ]
+    (issue,) = refused(tmp_path, outlines=drawn, **lead)
+    assert (issue.code, words in issue.message) == (code, True), issue.message
+    wider = [
+        {**one, "circle": {"at_mm": [1.08 * one["circle"]["at_mm"][0], 0], "diameter_mm": 9.9}}
+        for one in drawn
+    ]
+    assert processes.job(problem(tmp_path, outlines=wider, **lead), 0).targets().count > 10
+
+
 def test_a_curve_that_crosses_itself_is_refused(tmp_path: Path) -> None:
     bow = {"polyline_mm": [[-8, -6, 0], [8, 6, 0], [8, -6, 0], [-8, 6, 0]]}
     found = refused(tmp_path, outlines=[{"name": "bow", "curve": bow}])
     assert {issue.code for issue in found} == {"trim.crosses"}
+    assert "crosses itself, at (0.0, 0.0) mm" in found[0].message
 
 
 def test_a_sharp_corner_that_the_tolerance_takes_is_cut(tmp_path: Path) -> None:
@@ -138,15 +162,30 @@ def test_a_torch_that_lingers_in_a_long_slot_is_told(tmp_path: Path) -> None:
     assert "burns away more than its kerf" in issue.message
 
 
-@pytest.mark.parametrize("ok_signal", ["diArcOk", None])
-def test_controllers_of_ur_light_no_torch(tmp_path: Path, ok_signal: str | None) -> None:
-    read = problem(tmp_path, outlines=[ROUND], ok_signal=ok_signal)
+def test_controllers_of_ur_know_both_signals_by_number(tmp_path: Path) -> None:
+    read = problem(tmp_path, outlines=[ROUND], **of_ur(tmp_path))
     made = processes.job(read, 0).targets()
-    (arm,) = ur_job.problem().cell.arms[:1]
-    arm = dataclasses.replace(arm, name="robot")
-    other = dataclasses.replace(read, cell=dataclasses.replace(read.cell, arms=(arm,)))
-    found = [i for i in post.controller_refusals(other, [made]) if i.code == "post.controller"]
-    assert ["nothing in it would see that the arc is out" in issue.message for issue in found] == [True]
+    assert post.controller_refusals(read, [made]) == ()
+    fewer = problem(tmp_path, outlines=[ROUND], **of_ur(tmp_path, {"doArc": 3}))
+    (issue,) = post.controller_refusals(fewer, [made])
+    assert issue.code == "post.signal" and "diArcOk" in issue.message
+
+
+def test_two_arms_of_ur_light_no_torch(tmp_path: Path) -> None:
+    whole = data(outlines=[ROUND], **of_ur(tmp_path))
+    (arm,), (one,) = whole["cell"]["arms"], whole["operations"]
+    arms = ("robot", "second")
+    numbers = {"doPartner": 0, "diPartner": 1, "doRunning": 1, "diPartnerRunning": 2, "diArcOk": 3}
+    io = {name: numbers | {signal: 7} for name, signal in zip(arms, ("doArc", "doArc2"), strict=True)}
+    whole["cell"]["controller"] = {"sync": "handshake", "io": io}
+    whole["cell"]["arms"].append({**arm, "name": "second", "base": {"xyz_mm": [1400, 0, 0]}})
+    other = {**one, "name": "other", "arms": ["second"], "signal": "doArc2"}
+    whole["operations"].append({**other, "outlines": [{**ROUND, "name": "b"}]})
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    made = [processes.job(read, k).targets() for k in range(2)]
+    found = [i for i in post.controller_refusals(read, made) if i.code == "post.controller"]
+    assert [i.arm for i in found] == ["robot", "second"]
+    assert all("beside another arm of UR" in i.message for i in found)
 
 
 def test_inner_curves_come_before_outer_ones(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ class Path:
 
 
 def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
-    """Step times and turn changes of one branch; ``speed`` (6,) are the joint speed limits [rad/s].
+    """Step times and turn changes of one branch; ``speed`` (J,) are the joint speed limits [rad/s].
 
     Rungs without turns (:meth:`Rungs.modulo`) get steps that ignore turns.
     """
@@ -56,8 +56,9 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
     shape = (len(before), max(len(rungs.q) - 1, 0), grid.samples)
     slowest, total = np.zeros(shape), np.zeros(shape)
     bad = np.broadcast_to((grid.before < 0)[:, None, :], shape).copy()
-    whole = np.zeros((*shape, 6)) if rungs.turns_matter else None
-    for j in range(6):
+    joints = rungs.q.shape[-1]
+    whole = np.zeros((*shape, joints)) if rungs.turns_matter else None
+    for j in range(joints):
         angle = rungs.q[..., j]
         change = angle[None, 1:] - np.moveaxis(angle[:-1][:, before], 1, 0)
         if chain.many_turns[j]:
@@ -80,7 +81,7 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
 
 
 def _previous_turn(turns: FloatArray, whole: FloatArray) -> IndexArray:
-    """Index (M, N-1, S, T) of the turn state ``whole`` (M, N-1, S, 6) turns above each state, or -1."""
+    """Index (M, N-1, S, T) of the turn state ``whole`` (M, N-1, S, J) turns above each state, or -1."""
     counts = np.round(turns / FULL_TURN).astype(np.int64)
     out = np.full((*whole.shape[:-1], len(turns)), -1, dtype=np.intp)
     stay = ~np.nan_to_num(whole).any(axis=-1)
@@ -207,7 +208,7 @@ class Ladder:
 
 
 def joint_path(path: Path, rungs: Mapping[str, Rungs]) -> dict[str, FloatArray]:
-    """Joint angles {arm: (N, 6)} of a path, turns included."""
+    """Joint angles {arm: (N, J)} of a path, turns included."""
     rows = np.arange(len(path.sample))
     return {arm: r.q[rows, path.sample] + r.turns[path.turn[arm]] for arm, r in rungs.items()}
 
@@ -221,7 +222,7 @@ class Turns:
 
     def __init__(self, rungs: Rungs, states: list[IndexArray]) -> None:
         counts = np.round(rungs.turns / FULL_TURN).astype(np.intp)
-        codes = counts @ (TURN_CODE ** np.arange(6))
+        codes = counts @ (TURN_CODE ** np.arange(counts.shape[1]))
         self._least, span = int(codes.min()), int(codes.max() - codes.min()) + 1
         self._turns: dict[int, FloatArray] = {int(c): t for c, t in zip(codes, rungs.turns, strict=True)}
         self._place = np.full(span + 2, len(codes), dtype=np.intp)  # both ends: turns that are not allowed
@@ -244,5 +245,5 @@ class Turns:
         return np.asarray(self._penalty[k].ravel()[place])
 
     def turn(self, code: int) -> FloatArray:
-        """Turns (6,) [rad] of a code."""
+        """Turns (J,) [rad] of a code."""
         return self._turns[code]

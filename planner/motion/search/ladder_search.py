@@ -309,7 +309,7 @@ class Choice:
             many = self._scene.chains[arm].many_turns
             angles = r.q[rows, path.sample]
             change = np.where(many, np.round(np.diff(angles, axis=0) / FULL_TURN), 0.0)
-            whole = np.concatenate([np.zeros((1, 6)), -np.cumsum(change, axis=0)])
+            whole = np.concatenate([np.zeros((1, len(many))), -np.cumsum(change, axis=0)])
             wanted = np.round(r.turns / FULL_TURN) + whole[:, None, :]
             same = (wanted[:, :, None, :] == np.round(r.turns / FULL_TURN)).all(axis=-1)
             state = np.where(same.any(axis=-1), same.argmax(axis=-1), -1)
@@ -359,7 +359,7 @@ def _moves(scene: Scene, rungs: Rungs, grid: Grid) -> Steps:
 
 
 def speed_limits(scene: Scene, arm: str) -> FloatArray:
-    """Joint speed limits (6,) [rad/s] of an arm with the settings' fraction."""
+    """Joint speed limits (J,) [rad/s] of an arm with the settings' fraction."""
     return np.asarray(scene.chains[arm].robot.velocity * scene.settings.speed_fraction)
 
 

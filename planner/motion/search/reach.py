@@ -15,7 +15,7 @@ import numpy as np
 from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.motion.planning_scene import FULL_TURN, Chain, Scene
-from planner.targets import Freedom, ScrewFreedom, Targets
+from planner.targets import Freedom, JointFreedom, ScrewFreedom, Targets
 
 SPIN_STEP = np.deg2rad(10.0)
 """Step [rad] of samples of a freedom that turns."""
@@ -54,7 +54,7 @@ class Grid:
 class Rungs:
     """What one arm can do on one branch at every target and sample.
 
-    ``q`` (N, S, 6) principal angles, NaN out of reach; ``turns`` (T, 6) [rad] whole turns to add; ``ok`` (N,
+    ``q`` (N, S, J) principal angles, NaN out of reach; ``turns`` (T, J) [rad] whole turns to add; ``ok`` (N,
     S, T) whether limits with their margin and singularities allow the state; ``penalty`` (N, S, T) [s], inf
     if not.
     """
@@ -71,7 +71,7 @@ class Rungs:
         """The same with turns forgotten: a state is as good as its best turn."""
         return dataclasses.replace(
             self,
-            turns=np.zeros((1, 6)),
+            turns=np.zeros((1, self.q.shape[-1])),
             ok=np.asarray(self.ok.any(axis=-1, keepdims=True)),
             penalty=self.penalty.min(axis=-1, keepdims=True),
             turns_matter=False,
@@ -97,7 +97,10 @@ def full_turn(freedom: Freedom) -> bool:
 
 
 def slides_only(freedom: Freedom) -> bool:
-    """Whether a freedom turns nothing: a slide or a table, sampled at few places."""
+    """Whether a freedom turns nothing: a slide, a table, or a joint beside what turns, sampled at few
+    places."""
+    if isinstance(freedom, JointFreedom):
+        return not freedom.alone
     return not (isinstance(freedom, ScrewFreedom) and any(np.any(a[:3]) for a in freedom.axis.values()))
 
 
@@ -168,7 +171,7 @@ def _steps(picks: IndexArray, counts: list[int], rings: list[bool], far: int) ->
 def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
     """All states of all arms over the grid."""
     poses, shape = _poses(scene, targets, grid)
-    return {arm: _known(scene, arm, poses[arm], shape) for arm in targets.arms}
+    return {arm: _known(scene, arm, poses[arm], _last(targets, grid, arm), shape) for arm in targets.arms}
 
 
 def on_branches(
@@ -180,7 +183,7 @@ def on_branches(
     out, able = {}, np.ones(shape, dtype=np.bool_)
     for arm in targets.arms:
         chain = scene.chains[arm]
-        q = chain.joined_on(poses[arm].reshape(*shape, 4, 4), branch[arm])
+        q = chain.joined_on(poses[arm].reshape(*shape, 4, 4), branch[arm], targets.last(arm, grid.values))
         out[arm] = rungs_of(scene, chain, branch[arm], q)
         able &= out[arm].ok.any(axis=2)
         if not able.any(axis=1).all():
@@ -195,25 +198,39 @@ def _poses(scene: Scene, targets: Targets, grid: Grid) -> tuple[dict[str, FloatA
     return scene.tcp(targets, grid.values.reshape(rows * samples, -1), index), (rows, samples)
 
 
-def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> Reach:
+def _last(targets: Targets, grid: Grid, arm: str) -> FloatArray | None:
+    """The last joint (N * S,) of an arm where it is a freedom."""
+    last = targets.last(arm, grid.values)
+    return None if last is None else last.reshape(-1)
+
+
+def _known(
+    scene: Scene, arm: str, pose: FloatArray, joint: FloatArray | None, shape: tuple[int, int]
+) -> Reach:
     """The table of one arm; that of the last poses is remembered, as paths are searched more than once over
     the same samples."""
     last = scene.last_reach.get(arm)
-    if last is not None and last[1] == shape and np.array_equal(last[0], pose):
-        found = last[2]
+    if last is not None and last[2] == shape and np.array_equal(last[0], pose) and _same(last[1], joint):
+        found = last[3]
         if isinstance(found, Reach):
             return found
-    found = _reach(scene, scene.chains[arm], pose, shape)
+    found = _reach(scene, scene.chains[arm], pose, joint, shape)
     for rungs in found.branches.values():
         for array in (rungs.q, rungs.ok, rungs.penalty):
             array.flags.writeable = False
-    scene.last_reach[arm] = pose, shape, found
+    scene.last_reach[arm] = pose, joint, shape, found
     return found
 
 
-def _reach(scene: Scene, chain: Chain, pose: FloatArray, shape: tuple[int, int]) -> Reach:
+def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+    return (one is None and other is None) or (one is not None and np.array_equal(one, other))  # type: ignore[arg-type]
+
+
+def _reach(
+    scene: Scene, chain: Chain, pose: FloatArray, joint: FloatArray | None, shape: tuple[int, int]
+) -> Reach:
     count = chain.robot.form.branches
-    angles = chain.joined(chain.inverse(pose).reshape(*shape, count, 6))
+    angles = chain.joined(chain.inverse(pose, last=joint).reshape(*shape, count, chain.robot.axes))
     found: dict[int, Rungs] = {}
     exists = []
     solved: BoolArray = np.zeros((count, shape[0]), dtype=bool)
@@ -228,7 +245,7 @@ def _reach(scene: Scene, chain: Chain, pose: FloatArray, shape: tuple[int, int])
 
 
 def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:
-    """Margins, turns and penalties of principal angles q (N, S, 6) of one branch."""
+    """Margins, turns and penalties of principal angles q (N, S, J) of one branch."""
     hard, bend = scene.settings.joint_margin, scene.settings.singularity_margin
     single = chain.singularity_margin(q)
     turns, bends = _worth_trying(chain.turns, q), single >= bend
@@ -247,8 +264,8 @@ MOST_TURNS: Final = 27
 
 
 def _worth_trying(turns: FloatArray, q: FloatArray) -> FloatArray:
-    """Of ``turns`` (T, 6), where they are many, those of joints that pass the seam of their principal angles
-    q (N, S, 6) in some step: another joint keeps its turn on any path, and none leaves it more room than no
+    """Of ``turns`` (T, J), where they are many, those of joints that pass the seam of their principal angles
+    q (N, S, J) in some step: another joint keeps its turn on any path, and none leaves it more room than no
     turn. Of those at most :data:`MOST_TURNS`, the fewest turns first."""
     if len(turns) <= MOST_TURNS:
         return turns
@@ -265,7 +282,8 @@ def _hinge(margin: FloatArray, hard: float, soft: float) -> FloatArray:
 
 
 BENT_LINKS: Final = ("link_1", "link_2", "link_3", "link_4", "link_5")
-"""Links that stand elsewhere on another branch, wherever the tool is; the last one is the flange."""
+"""Links that stand elsewhere on another branch, wherever the tool is; the last one is the flange, and where
+it is one of seven axes so is the one before, for a sample of the last joint."""
 
 COARSE_STRIDE: Final = 12
 """Once a path has collided, all samples of every 12th target are checked before the next path is chosen."""

@@ -131,11 +131,12 @@ class _Attempt:
         """Whether no sample of the level is free at a target, which is then asked first of what is tried
         next."""
         index = np.full(len(self.samples), target)
-        poses = self.scene.tcp(self.targets, self.coordinates.values(self.samples, index), index)
+        values = self.coordinates.values(self.samples, index)
+        poses = self.scene.tcp(self.targets, values, index)
         ok, q = np.ones(len(index), dtype=bool), {}
         for arm, pose in poses.items():
             chain = self.scene.chains[arm]
-            q[arm] = chain.inverse(pose, [branch[arm]])[:, 0]
+            q[arm] = chain.inverse(pose, [branch[arm]], self.targets.last(arm, values))[:, 0]
             ok &= chain.best_limit_margin(q[arm]) >= self.scene.settings.joint_margin
             ok &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
         good = np.flatnonzero(ok)
@@ -254,7 +255,7 @@ class _Graph:
             ends = after.max(axis=0) - before.min(axis=0), before.max(axis=0) - after.min(axis=0)
             farthest = np.maximum(*ends).astype(np.float32)  # that each joint goes
             code = np.zeros(slowest.shape if (farthest > _NO_TURN)[many].any() else 0, dtype=np.int32)
-            for j in range(6):
+            for j in range(len(many)):
                 np.subtract(after[None, :, j], before[:, None, j], out=change, casting="same_kind")
                 if many[j] and farthest[j] > _NO_TURN:
                     whole = np.round(change / FULL_TURN)
@@ -416,7 +417,7 @@ class _Graph:
         ok, q = np.ones(len(at), dtype=bool), {}
         for arm, pose in poses.items():
             chain = self.scene.chains[arm]
-            q[arm] = chain.inverse(pose, [self.branch[arm]])[:, 0]
+            q[arm] = chain.inverse(pose, [self.branch[arm]], self.targets.last(arm, values))[:, 0]
             best = chain.best_limit_margin(q[arm])
             ok &= best >= self.scene.settings.joint_margin
             ok &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
@@ -446,7 +447,7 @@ class _Graph:
     def _whole(self, states: IndexArray, cost: float, rounds: int) -> Found:
         """The path at all targets, turns included."""
         coordinates = np.empty((self.targets.count, self.attempt.samples.shape[1]))
-        q = {arm: np.empty((self.targets.count, 6)) for arm in self.rungs}
+        q = {arm: np.empty((self.targets.count, own[0].shape[1])) for arm, own in self.q.items()}
         at = self.attempt.samples[self.states[0][states[0]]]
         for k in range(len(self.rows)):
             coordinates[self.rows[k]] = at

@@ -23,7 +23,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, inverse, 
 from planner.motion.planning_scene import FULL_TURN, holders
 from planner.motion.search.reach import full_turn, sample, slides_only
 from planner.problem import Cell
-from planner.targets import Edge, Freedom, ScrewFreedom, TableFreedom, Targets
+from planner.targets import Edge, Freedom, JointFreedom, ScrewFreedom, TableFreedom, Targets
 
 
 def subset(targets: Targets, rows: IndexArray) -> Targets:
@@ -55,7 +55,7 @@ def pick(freedom: Freedom, rows: IndexArray) -> Freedom:
         return dataclasses.replace(
             freedom, pose=pose, lower=freedom.lower[rows], upper=freedom.upper[rows], prefer=prefer
         )
-    if isinstance(freedom, ScrewFreedom):
+    if isinstance(freedom, ScrewFreedom | JointFreedom):
         return dataclasses.replace(
             freedom, lower=freedom.lower[rows], upper=freedom.upper[rows], prefer=prefer
         )

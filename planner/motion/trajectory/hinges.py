@@ -13,8 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from planner.catalogue.robots import columns_of
 from planner.cell import clearance
-from planner.cell.bodies import extent
+from planner.cell.bodies import extent, link_chain
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, transform
@@ -66,9 +67,8 @@ def near_margins(
     """Margins [rad] to joint limits and singularities of all arms at joints (N, J) that are near, their
     slopes 0 without ``slopes``; with each the margin that must stay and the width that counts above it."""
     out = []
-    for k, arm in enumerate(arms):
+    for arm, part in scene.columns(arms).items():
         chain = scene.chains[arm]
-        part = slice(6 * k, 6 * k + 6)
         q = joints[:, part]
         for margins, gradient, hard, soft in (
             (*_limits(chain, q), scene.settings.joint_margin, SOFT_LIMIT_RAD),
@@ -83,9 +83,9 @@ def near_margins(
 
 
 def _limits(chain: Chain, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """All limit margins (N, L) and their slopes (N, L, 6)."""
-    robot = chain.robot
-    margins, slopes = [q - robot.lower, robot.upper - q], [np.eye(6), -np.eye(6)]
+    """All limit margins (N, L) and their slopes (N, L, J)."""
+    robot, one = chain.robot, np.eye(q.shape[1])
+    margins, slopes = [q - robot.lower, robot.upper - q], [one, -one]
     if robot.coupling is not None:
         axis3 = q[:, 1:2] + q[:, 2:3]
         row = np.array([[0.0, 1.0, 1.0, 0.0, 0.0, 0.0]])
@@ -96,13 +96,13 @@ def _limits(chain: Chain, q: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _singularities(chain: Chain, q: FloatArray, slopes: bool) -> tuple[FloatArray, FloatArray]:
-    """Singularity margins (N, 3) and their slopes (N, 3, 6), by central differences."""
+    """Singularity margins (N, 3) and their slopes (N, 3, J), by central differences."""
     margin = chain.singularities(q)
-    gradient = np.zeros((len(q), 3, 6))
+    gradient = np.zeros((len(q), 3, q.shape[1]))
     if slopes:
         step = 1e-6
         for j in chain.robot.form.singular:
-            shift = np.zeros(6)
+            shift = np.zeros(q.shape[1])
             shift[j] = step
             gradient[:, :, j] = (chain.singularities(q + shift) - chain.singularities(q - shift)) / (
                 2.0 * step
@@ -173,7 +173,8 @@ class Avoid:
         self._model, self._arms, self._wanted, self._weight = model, arms, wanted, weight
         self._soft = soft
         self.asked = 0
-        self._columns = np.concatenate([np.arange(6) + 6 * model.arms.index(arm) for arm in arms])
+        self._columns = np.concatenate([np.arange(model.home.size)[model.columns[arm]] for arm in arms])
+        self._parts = columns_of({arm: model.robots[arm] for arm in arms})
         self._levers = np.concatenate([levers(model, arm) for arm in arms])
         self._wrist = max(WRIST_LEVER_M, *(_hand(model, arm) for arm in arms if _is_long(model, arm)), 0.0)
         resting = clearance.resting(model, arms)  # nothing that is done here changes these
@@ -222,7 +223,8 @@ class Avoid:
         linear = self._distance + np.einsum("nkj,nj->nk", self._gradient, step)
         linear -= 0.5 * self._wrist * part * part
         local = (self._mask.sum(axis=-1) <= 2.0) & (linear < limit)
-        wrist = np.abs(step).reshape(len(q), -1, 6)[:, :, 4:].sum(axis=-1).max(axis=-1)
+        turned = np.abs(step)
+        wrist = np.max([turned[:, part][:, -2:].sum(axis=-1) for part in self._parts.values()], axis=0)
         near |= local.any(axis=1) | (QUERY_DISTANCE_M - self._wrist * wrist < limit)
         curved = linear + 0.5 * (self._wrist - self._levers.max()) * part * part
         beyond = QUERY_DISTANCE_M - np.abs(step) @ self._levers
@@ -248,9 +250,8 @@ class Avoid:
             if len(index)
         ]
         for bounds, index in parts:
-            part = {arm: q[index, 6 * k : 6 * k + 6] for k, arm in enumerate(self._arms)}
-            rows = self._model.stack(part)
-            every = {arm: rows[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self._model.arms)}
+            rows = self._model.stack({arm: q[index, part] for arm, part in self._parts.items()})
+            every = self._model.split(rows)
             poses = self._model.at_rows(index).poses(every)
             lower, _ = bounds.least(poses, limit + far, both=False)
             bound[index] = np.minimum(lower, limit + far) - BOUND_ERROR
@@ -314,18 +315,18 @@ class Avoid:
         bodies = range(self._model.plant.num_bodies())
         names = [self._model.body_name(i) for i in bodies]
         out = np.zeros((len(names), len(names), len(self._columns)))
-        for k, arm in enumerate(self._arms):
+        for arm, part in self._parts.items():
             moved = [self._model.joints_of(arm, name) for name in names]
             for a, b in itertools.product(bodies, repeat=2):
                 low, high = sorted((moved[a], moved[b]))
-                out[a, b, 6 * k + low : 6 * k + high] = 1.0
+                out[a, b, part.start + low : part.start + high] = 1.0
         return out
 
 
 def levers(model: CellModel, arm: str) -> FloatArray:
-    """How far (6,) [m/rad] each joint can at most carry a point of its arm."""
-    hand = _hand(model, arm)
-    return np.array([model.robots[arm].reach + hand] * 3 + [hand] * 3)
+    """How far (J,) [m/rad] each joint can at most carry a point of its arm."""
+    hand, count = _hand(model, arm), model.robots[arm].axes
+    return np.array([model.robots[arm].reach + hand] * (count - 3) + [hand] * 3)
 
 
 def _hand(model: CellModel, arm: str) -> float:
@@ -355,9 +356,11 @@ def _is_long(model: CellModel, arm: str) -> bool:
 
 
 def _local_pairs(model: CellModel, arms: tuple[str, ...]) -> Pairs:
-    """Pairs of bodies of one arm that axes 5 and 6 alone move against each other."""
-    ends = ("link_5", "link_6", "tool", "edge")
-    pairs = {frozenset((f"{arm}/link_4", f"{arm}/{end}")) for arm in arms for end in ends}
-    if model.stock.held_by in arms:
-        pairs.add(frozenset((f"{model.stock.held_by}/link_4", "stock")))
+    """Pairs of bodies of one arm that its last two axes alone move against each other."""
+    pairs = set()
+    for arm in arms:
+        *_, before, one, last, tool = link_chain(model.robots[arm].axes)
+        pairs |= {frozenset((f"{arm}/{before}", f"{arm}/{end}")) for end in (one, last, tool, "edge")}
+        if model.stock.held_by == arm:
+            pairs.add(frozenset((f"{arm}/{before}", "stock")))
     return frozenset(pairs)

@@ -176,8 +176,9 @@ def _deviation(
     """Greatest distance [m] of TCPs on a spline, half way between samples, from the chords between the
     samples at ``places``, both in the frame in which a TCP moves straight."""
     middle = spline(0.5 * (way[1:] + way[:-1]))
-    poses = {arm: scene.chains[arm].pose(middle[:, 6 * k : 6 * k + 6]) for k, arm in enumerate(targets.arms)}
-    for k, arm in enumerate(targets.ride, start=6 * len(targets.arms)):
+    columns = scene.columns(targets.arms)
+    poses = {arm: scene.chains[arm].pose(middle[:, part]) for arm, part in columns.items()}
+    for k, arm in enumerate(targets.ride, start=columns[targets.arms[-1]].stop):
         track, station = scene.tracks[arm]
         poses[arm][:, :3, 3] += (middle[:, k, None] - station) * track.axis
     worst = 0.0

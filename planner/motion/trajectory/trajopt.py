@@ -24,7 +24,7 @@ from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import speed_limits
 from planner.motion.search.reach import full_turn, slides_only
 from planner.motion.trajectory.hinges import Rows, margin_rows, preference_rows
-from planner.targets import Freedom, ScrewFreedom, Targets
+from planner.targets import Freedom, JointFreedom, ScrewFreedom, Targets
 
 CURVATURE_WEIGHT: Final = 64.0
 """Weight of second differences against first ones: changes are spread over some eight targets."""
@@ -83,7 +83,7 @@ def improve(
     q: Mapping[str, FloatArray],
     obstacles: Obstacles | None = None,
 ) -> Improved:
-    """Smooths a path of freedom ``values`` (N, F) and joints {arm: (N, 6)} on the branches ``branch``."""
+    """Smooths a path of freedom ``values`` (N, F) and joints {arm: (N, J)} on the branches ``branch``."""
     problem = PathProblem(scene, targets, branch, obstacles)
     values = problem.unwrapped(values)
     joints = problem.stack(q)
@@ -141,6 +141,7 @@ class PathProblem:
         weights: Weights | None = None,
     ) -> None:
         self.scene, self.targets, self.branch, self.obstacles = scene, targets, branch, obstacles
+        self.columns = scene.columns(targets.arms)
         self.speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
         weights = weights_of(targets) if weights is None else weights
         self.stencil, self.count = weights.stencil, weights.count
@@ -155,7 +156,7 @@ class PathProblem:
         return np.concatenate([q[arm] for arm in self.targets.arms], axis=-1)
 
     def split(self, joints: FloatArray) -> dict[str, FloatArray]:
-        return {arm: joints[..., 6 * k : 6 * k + 6].copy() for k, arm in enumerate(self.targets.arms)}
+        return {arm: joints[..., part].copy() for arm, part in self.columns.items()}
 
     def clip(self, values: FloatArray) -> FloatArray:
         return np.clip(values, self.lower, self.upper)
@@ -169,9 +170,10 @@ class PathProblem:
         """Exact joints (N, J) on the branches, or None where a branch or a hard margin is lost."""
         poses = self.scene.tcp(self.targets, values)
         out = []
-        for k, arm in enumerate(self.targets.arms):
+        for arm, part in self.columns.items():
             chain = self.scene.chains[arm]
-            q = chain.on_branch(poses[arm], self.branch[arm], near[:, 6 * k : 6 * k + 6])
+            last = self.targets.last(arm, values)
+            q = chain.on_branch(poses[arm], self.branch[arm], near[:, part], last)
             if chain.limit_margin(q).min() < self.scene.settings.joint_margin - 1e-12:
                 return None
             if chain.singularity_margin(q).min() < self.scene.settings.singularity_margin - 1e-12:
@@ -183,10 +185,17 @@ class PathProblem:
         """dq/dvalue (N, J, F): the body twist of each freedom through the arms' closed-form Jacobians."""
         twists = self._twists(values)
         parts = [
-            self.scene.chains[arm].rates(joints[:, 6 * k : 6 * k + 6], twists[arm])
-            for k, arm in enumerate(self.targets.arms)
+            self.scene.chains[arm].rates(joints[:, part], twists[arm]) for arm, part in self.columns.items()
         ]
-        return np.swapaxes(np.concatenate(parts, axis=-1), 1, 2)
+        return self._with_own(np.swapaxes(np.concatenate(parts, axis=-1), 1, 2), joints)
+
+    def _with_own(self, rates: FloatArray, joints: FloatArray) -> FloatArray:
+        """Rates (N, J, F) with those of joints that are freedoms, which move no tool."""
+        for j, freedom in enumerate(self.targets.freedoms):
+            if isinstance(freedom, JointFreedom):
+                part = self.columns[freedom.arm]
+                rates[:, part, j] = self.scene.chains[freedom.arm].own_rates(joints[:, part])
+        return rates
 
     def plant_rates(self, model: CellModel, values: FloatArray, joints: FloatArray) -> FloatArray:
         """What :meth:`rates` gives, through the Jacobians of Drake's plant."""
@@ -195,8 +204,10 @@ class PathProblem:
         for arm, jacobian in model.jacobians(q).items():
             turn = poses[arm][:, None, :3, :3]
             world = [np.einsum("nkij,nkj->nik", turn, twists[arm][..., part]) for part in (_TURN, _MOVE)]
-            parts.append(np.linalg.solve(jacobian, np.concatenate(world, axis=1)))
-        return np.concatenate(parts, axis=1)
+            own = np.linalg.solve(jacobian[..., :6], np.concatenate(world, axis=1))
+            chain = self.scene.chains[arm]
+            parts.append(np.swapaxes(chain.with_last(np.swapaxes(own, 1, 2)), 1, 2) if chain.spare else own)
+        return self._with_own(np.concatenate(parts, axis=1), joints)
 
     def _twists(self, values: FloatArray) -> dict[str, FloatArray]:
         """Body twists {arm: (N, F, 6)} of the TCPs by each freedom, by central differences."""

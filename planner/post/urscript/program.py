@@ -65,6 +65,8 @@ from planner.post.program import (
 from planner.post.steps import LEAST_MASS
 from planner.post.urscript import syntax
 from planner.post.urscript.syntax import comment, mark, name
+from planner.post.urscript.torches import Torch, torches
+from planner.post.urscript.torches import functions as torch_functions
 from planner.problem import Arm, Problem
 from planner.targets import Action
 from planner.tooling import Tool
@@ -153,6 +155,11 @@ class _Main:
         self.rest: list[WatchedStep] = []
         """Steps of the last meeting that stand behind a question."""
         self.powered: set[str] = set()
+        self.torches = torches(task)
+        self.torch: Torch | None = None
+        """That of the operation that is written."""
+        self.lit = self.guarded = False
+        """Whether it burns, and its thread runs."""
         self._at: FloatArray | None = None
         self._acceleration = float(np.min(task.robot.acceleration)) * problem.settings.acceleration_fraction
 
@@ -162,22 +169,51 @@ class _Main:
         home = self._joints(Joints(self.task.arm.home, "home"), 0)
         place = inverse(self.foot) @ forward(self.task.robot, self.task.arm.home) @ CHECK_TIP
         text = vocabulary.OTHER_ARM.filled(arm=self.task.arm.name, model=self.task.arm.robot)
-        out = [self._switch(signal, False) for signal in self.job.switched(self.task)]
+        out = self._unlit()
+        out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
         if self.partner is not None:
             running = self._own.running
             stays = vocabulary.STAYS_ON.filled(signal=running)
             out += syntax.stays_low(self._number(running), self._runs(False), stays)
         out += syntax.kinematics_check(home, CHECK_TIP, place, CHECK_ERROR, text)
         clear = (vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY).filled()
-        functions: list[str] = []
+        functions = self._watched()
         if self.partner is None:
             out += syntax.question(clear)
         else:
-            functions = self._functions(self.partner)
+            functions += self._functions(self.partner)
             out += self._start(self.partner, clear)
         for i, operation in enumerate(self.task.operations, 1):
             out += self._operation(i, operation)
         return [*(f"{word} = {value}" for word, value in self.data.items()), *functions], out
+
+    # ---- torches ----
+
+    def _unlit(self) -> list[str]:
+        """The program ends where the output of a torch is on before it has switched anything."""
+        out: list[str] = []
+        for signal in dict.fromkeys(torch.signal for torch in self.torches.values()):
+            stays = vocabulary.STAYS_ON.filled(signal=signal)
+            out += syntax.stays_low(self._number(signal), self._switch(signal, False), stays)
+        return out
+
+    def _watched(self) -> list[str]:
+        """What waits for torches, and what watches them."""
+        off = [self._switch(signal, False) for signal in self.job.switched(self.task)]
+        out: list[str] = []
+        for torch in dict.fromkeys(self.torches.values()):
+            given = None if torch.ok_signal is None else self._number(torch.ok_signal)
+            out += torch_functions(torch, self._number(torch.signal), given, off)
+        return out
+
+    def _switched(self, signal: str, on: bool) -> list[str]:
+        """An output is switched; the thread of a torch ends before that goes off."""
+        torch = self.torch
+        out = [self._switch(signal, on)]
+        if torch is None or signal != torch.signal:
+            return out
+        self.lit, guarded, self.guarded = on, self.guarded, False
+        return [torch.left, *out] if guarded else out
 
     # ---- the other controller ----
 
@@ -292,6 +328,7 @@ class _Main:
 
     def _operation(self, index: int, operation: OperationProgram) -> list[str]:
         out, told = comment(f"Operation {operation.name}."), False
+        self.torch = self.torches.get(index)
         held: list[str] = []
         for i, step in enumerate(operation.steps):
             if not told and isinstance(step, Joints | Run):  # behind the setup that has mounted the tool
@@ -375,9 +412,11 @@ class _Main:
             case "on" | "off":
                 change = self.powered.add if action.kind == "on" else self.powered.discard
                 change(action.signal)
-                return [self._switch(action.signal, action.kind == "on")]
+                return self._switched(action.signal, action.kind == "on")
             case "wait":
                 return [f"sleep({syntax.real(action.seconds, 3)})"]
+            case "input" if self.torch is not None and action.signal == self.torch.ok_signal:
+                return [self.torch.wait]
             case "input":
                 raise no_input(action, self.task.arm.name)
 
@@ -407,7 +446,11 @@ class _Main:
             hint = "let the motion stop there, or choose another TCP or cut, so that the tool has a way"
             raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, target=place, hint=hint))
         seconds = short(float(track.duration[some].sum()), 2)
-        out = comment(f"Segment {mark(run.segment)}: {run.last - run.first} moves, {seconds} s.")
+        out: list[str] = []
+        if self.torch is not None and self.lit and not self.guarded:
+            out.append(self.torch.watched)
+            self.guarded = True
+        out += comment(f"Segment {mark(run.segment)}: {run.last - run.first} moves, {seconds} s.")
         moves = syntax.straight(track, radius, self._frame(operation))[some]
         if self.partner is not None and self._at is not None:
             rests = np.flatnonzero(self._still(operation, track)[some])

@@ -58,17 +58,19 @@ and break continue def elif else end false for global halt if in local not or re
 xor join kill run enter_critical exit_critical struct movej movel movep movec servoj speedj speedl stopj stopl
 sleep sync popup textmsg pose_trans pose_inv point_dist get_forward_kin get_inverse_kin set_tcp set_payload
 base_frame problem_digest await_line await_running check_partner watch_partner watching passed level limit own
-stand seconds
+stand seconds arc_lost arc_stood arc_place get_actual_tcp_pose
 """
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Words that no name may be."""
+ARC_NAMES: Final = r"(await|watch|watching)_arc(_\d+)?"
+"""Names of what waits for torches and watches them, which are no others."""
 
 
 def name(text: str, length: int = NAME_LENGTH) -> str:
     """A name from text, in small letters: letters, digits and single underscores, a letter first, cut to
     ``length``. Raises :class:`TandemError` (``post.name``) when that gives none."""
     out = re.sub(r"[^a-z0-9]+", "_", plain(text).lower()).strip("_")[:length].rstrip("_")
-    if not re.match(r"[a-z]", out) or out in RESERVED:
+    if not re.match(r"[a-z]", out) or out in RESERVED or re.fullmatch(ARC_NAMES, out):
         message = f"{text!r} cannot name anything in URScript (it gives {out!r})"
         raise TandemError(Issue("post.name", message, hint="a letter first, no reserved word"))
     return out
@@ -143,7 +145,7 @@ def wait_function(word: str, number: int, own: int, off: Sequence[str], text: st
         f"while {input_call(number)}!=level or {back}==False:",
         f"if passed>limit or {back}==False:",
         *off,
-        *_ended(text),
+        *ended(text),
         "end",
         f"sleep({WAIT_STEP})",
         f"passed=passed+{WAIT_STEP}",
@@ -160,7 +162,7 @@ def check_function(line: int, runs: int, own: int, off: Sequence[str], text: str
         f"def {CHECK}(level,own):",
         f"if {wrong}:",
         *off,
-        *_ended(text),
+        *ended(text),
         "end",
         "end",
     ]
@@ -175,7 +177,7 @@ def watch_thread(number: int, own: int, off: Sequence[str], text: str) -> list[s
         "sync()",
         "end",
         *off,
-        *_ended(text, blocking=False),
+        *ended(text, blocking=False),
         "end",
     ]
 
@@ -199,7 +201,7 @@ def stays_low(number: int, off: str, text: str) -> list[str]:
     return [
         f"if {output_call(number)}:",
         off,
-        *_ended(text),
+        *ended(text),
         "end",
     ]
 
@@ -225,7 +227,7 @@ def _text(text: str) -> str:
     return f'"{flat}"'
 
 
-def _ended(text: str, blocking: bool = True) -> list[str]:
+def ended(text: str, blocking: bool = True) -> list[str]:
     """The program shows a text, without holding itself unless it is ``blocking``, and ends."""
     return [f'popup({_text(text)},"{TITLE}",False,True,blocking={blocking})', "halt"]
 
@@ -247,7 +249,7 @@ def kinematics_check(home: str, tip: FloatArray, place: FloatArray, most: float,
     (4, 4) has it in its base, within ``most`` [m], at the joints called ``home``."""
     return [
         f"if point_dist(get_forward_kin({home},{pose(tip)}),{pose(place)})>{real(most, 6)}:",
-        *_ended(text),
+        *ended(text),
         "end",
     ]
 

@@ -205,11 +205,12 @@ def _spline(entity: Any) -> FloatArray | None:
 
 
 def chained(pieces: list[FloatArray]) -> list[Drawn]:
-    """Curves of pieces whose ends meet; what is closed is left as it is."""
+    """Curves of pieces whose ends meet; what is closed is left as it is. Each is run as its first piece is
+    drawn, and begins with that where it is closed."""
     out: list[Drawn] = []
     left = list(range(len(pieces)))
     while left:
-        chain, count = pieces[left.pop(0)], 1
+        chain, count, before = pieces[left.pop(0)], 1, 0
         while left and not _shut(chain):
             ends = np.array([pieces[i][[0, -1]] for i in left])
             open_ = np.array([not _shut(pieces[i]) for i in left])
@@ -221,9 +222,10 @@ def chained(pieces: list[FloatArray]) -> list[Drawn]:
             piece = pieces[left.pop(int(which))]
             piece = piece if end == 0 else piece[::-1]  # leads away from the chain
             chain = np.concatenate([chain, piece[1:]] if own else [piece[:0:-1], chain])
+            before += 0 if own else len(piece) - 1
             count += 1
         shut = _shut(chain)
-        out.append(Drawn(chain[:-1] if shut else chain, shut, count))
+        out.append(Drawn(np.roll(chain[:-1], -before, axis=0) if shut else chain, shut, count))
     return out
 
 

@@ -91,15 +91,31 @@ def read_points(path: Path) -> FloatArray:
             return np.unique(_stl(data).corners.reshape(-1, 3), axis=0)
         if kind not in (".obj", ".xyz", ".txt"):
             raise UnreadError(f"a scan in a file {path.suffix or 'without suffix'} is not known")
-        rows = [
-            line.replace(",", " ").replace(";", " ").split() for line in data.decode("utf-8").splitlines()
-        ]
+        lines = _lines(data)
+        rows = [line.replace(",", " ").replace(";", " ").split() for line in lines]
         if kind == ".obj":
             rows = [row[1:] for row in rows if row and row[0] == "v"]
         rows = [row for row in rows if row and not row[0].startswith(("#", "//"))]
+        if kind != ".obj" and rows and (len(rows[0]) == 1 or not _is_number(rows[0][0])):
+            del rows[0]  # how many points follow, or names of columns
         return np.array([[float(word) for word in row[:3]] for row in rows]).reshape(-1, 3)
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise UnreadError(str(error) or type(error).__name__) from error
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _lines(data: bytes) -> list[str]:
+    """Lines of a text of numbers; what else stands in it may be in any alphabet."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16").splitlines()
+    return data.removeprefix(b"\xef\xbb\xbf").decode("latin-1").splitlines()
 
 
 def _obj(text: str) -> Facets:

@@ -32,6 +32,10 @@ _UNITS_3MF: Final = {
 """Units of 3MF files [m]."""
 _DEEPEST: Final = 40
 """Nodes or components in one another at most."""
+_MOST_PLACES: Final = 100_001
+"""Times that components of a 3MF file, or nodes of a GLB file, are placed at most."""
+_MOST_TRIANGLES: Final = 12_500_000
+"""Triangles of a file at most, those that are placed several times counted each time."""
 _MOST_BYTES: Final = 400_000_000
 """Bytes of an unpacked 3MF file at most."""
 
@@ -47,11 +51,13 @@ def glb(data: bytes) -> tuple[FloatArray, float]:
         chunks.setdefault(kind.rstrip(b"\0 "), data[at + 8 : at + 8 + size])
         at += 8 + size
     said, numbers = json.loads(chunks[b"JSON"]), chunks.get(b"BIN", b"")
-    found = [np.zeros((0, 3, 3))]
+    found, places = [np.zeros((0, 3, 3))], 0
 
     def walk(index: int, above: FloatArray, depth: int) -> None:
-        if depth > _DEEPEST:
-            raise UnreadError("its nodes are in one another too deep")
+        nonlocal places
+        places += 1
+        if depth > _DEEPEST or places > _MOST_PLACES:
+            raise UnreadError("its nodes are in one another too deep, or too often")
         node = said["nodes"][index]
         here = above @ _node_pose(node)
         if "mesh" in node:
@@ -132,9 +138,13 @@ def packed(path: Path) -> tuple[FloatArray, float]:
             )
             parts: dict[str, dict[str, _Thing]] = {}
             size, items = _part(pack, root.lstrip("/"), parts)
-            corners = [np.zeros((0, 3, 3))]
+            corners, triangles = [np.zeros((0, 3, 3))], 0
             for part, number, pose in items:
-                corners += _built(lambda name: _part(pack, name, parts), parts, part, number, pose, 0)
+                for one in _built(lambda name: _part(pack, name, parts), parts, part, number, pose, 0):
+                    corners.append(one)
+                    triangles += len(one)
+                    if len(corners) > _MOST_PLACES or triangles > _MOST_TRIANGLES:
+                        raise UnreadError("its components are placed too often")
     except (zipfile.BadZipFile, StopIteration, KeyError, SyntaxError) as error:
         raise UnreadError(f"it is no 3MF file that can be read ({error or 'no model'})") from error
     return np.concatenate(corners), size

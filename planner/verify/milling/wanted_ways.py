@@ -24,7 +24,7 @@ from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialog
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.tooling import Cutter
-from planner.verify.files import UNITS, UnreadError, curves
+from planner.verify.files import UNITS, UnreadError, curves, rhino
 from planner.verify.job import MILL
 from planner.verify.milling import gcode_moves
 from planner.verify.milling.gcode_lines import UnreadableError
@@ -185,7 +185,7 @@ CURVE_SPACING = 0.25e-3
 between the two beside a place."""
 SPLINE_PLACES = 4000
 """Places on a spline."""
-CORNERED_KINDS = ("polyline", "dxf")
+CORNERED_KINDS = ("polyline", "dxf", "rhino")
 """Kinds of curves whose corners are meant."""
 UPRIGHT_ANGLE = 1e-3
 """A flat end that leans off the normal by less than this [rad] touches with its middle."""
@@ -199,6 +199,11 @@ class NotThereError(ValueError):
 
 def engraved_segments(claim: Engraves) -> Iterator[Claim]:
     """The ways and feeds of all curves. Raises ``NotThereError``."""
+    claim = dataclasses.replace(
+        claim, curves=each_curve(claim.curves), axis_curves=each_curve(claim.axis_curves)
+    )
+    if claim.axis == "curves" and len(claim.axis_curves) != len(claim.curves):
+        raise NotThereError(f"{len(claim.axis_curves)} axis curves for {len(claim.curves)} curves")
     face = Laid(claim.vertices, claim.faces)
     for number, drawn in enumerate(claim.curves, 1):
         segment, safe = Segment(MILL, f"{claim.name}_c{number}"), claim.safe
@@ -240,17 +245,52 @@ def points(drawn: DrawnCurve) -> tuple[FloatArray, bool]:
 
 
 def _of_file(drawn: DrawnCurve, file: Path) -> tuple[FloatArray, bool]:
-    """The only curve of a drawing."""
+    """The only curve of a drawing; one that is closed ends where it began."""
     try:
-        found = curves.read_curves(file, UNITS[drawn.unit], drawn.layer)
+        found = curves_of(drawn)
     except UnreadError as error:
         raise NotThereError(f"{file}: {error}") from error
     if len(found) != 1:
         raise NotThereError(f"{file} holds {len(found)} curves, wanted is one")
-    out = found[0].points.copy()
+    out = _run(found[0])
     if drawn.z_mm is not None:
         out[:, 2] = drawn.z_mm * MILLIMETRE
     return out, found[0].pieces > 1
+
+
+def _run(found: curves.Drawn) -> FloatArray:
+    points = found.points
+    return np.concatenate([points, points[:1]]) if found.closed else points.copy()
+
+
+def curves_of(drawn: DrawnCurve) -> list[curves.Drawn]:
+    """The curves of a file that one of its words stands for, layer by layer. Raises `UnreadError`."""
+    if drawn.file is None:
+        raise UnreadError("no file is named")
+    out: list[curves.Drawn] = []
+    for layer in drawn.layers or (drawn.layer,):
+        if drawn.kind == "rhino":
+            chosen = {"layer": layer, "name": drawn.name, "colour": drawn.colour}
+            out += rhino.read_curves({"file": drawn.file, "unit": drawn.unit or None, **chosen})
+        else:
+            out += curves.read_curves(drawn.file, UNITS[drawn.unit], layer)
+    return out
+
+
+def each_curve(drawn: tuple[DrawnCurve, ...]) -> tuple[DrawnCurve, ...]:
+    """Curves, those of drawings as polylines one by one. Raises ``NotThereError``."""
+    out: list[DrawnCurve] = []
+    for one in drawn:
+        if not one.layers:
+            out.append(one)
+            continue
+        try:
+            found = curves_of(one)
+        except UnreadError as error:
+            raise NotThereError(f"{one.file}: {error}") from error
+        rows = [(_run(curve) / MILLIMETRE).tolist() for curve in found]
+        out += [DrawnCurve("polyline", tuple(map(tuple, points))) for points in rows]
+    return tuple(out)
 
 
 def tool_along(claim: Engraves, face: Laid, number: int, curve: FloatArray) -> tuple[FloatArray, FloatArray]:

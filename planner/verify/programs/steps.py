@@ -269,6 +269,18 @@ class WatchStep(Step):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GuardStep(Step):
+    """What ends the program where a torch is to burn and its output `signal` or its input `given` ("" for
+    none) says that it does not, or where it gets no farther than `far` [m] in `stood` [s], begins or ends."""
+
+    signal: str
+    given: str
+    stood: float
+    far: float
+    on: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RunningStep(Step):
     """The program switches its own running wire. ``waited`` [s]: how long it stood right before its rise."""
 

@@ -23,11 +23,12 @@ from planner.catalogue.robots import (
     OpwParameters,
     ParallelParameters,
     RobotData,
+    SevenParameters,
     urdf_path,
 )
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue, TandemError
-from planner.verify.replay import offset_arm, parallel_arm
+from planner.verify.replay import offset_arm, parallel_arm, seven_arm
 
 BASE_LINK: Final = "base_link"
 """The link that the chain goes from, the robot's foot."""
@@ -40,14 +41,14 @@ POSTURES_TOGETHER: Final = 4096
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Chain:
-    """Six turning joints in a row.
+    """Six turning joints in a row, or seven of a robot of the user's own: J in what follows.
 
-    ``links``: names of the links that joints 1 to 6 turn, and of the tip, which is fixed to the last one.
-    ``zero`` (7, 4, 4): their frames in the base with all joints at zero. ``axis`` (6, 3): unit vectors of the
-    joints' axes in the base, at zero; axis i goes through the origin of frame i. ``lower``, ``upper`` [rad]
-    and ``velocity`` [rad/s] (6,): limits, NaN where the file states none. ``step`` (7, 4, 4): from each
-    joint's frame, its axis laid along z, to the next one's, the first from the base, the last to the tip;
-    ``lay`` (6, 3, 3): the rotations that lay z along the axes in the links' frames.
+    ``links``: names of the links that the joints turn, and of the tip, which is fixed to the last one.
+    ``zero`` (J + 1, 4, 4): their frames in the base with all joints at zero. ``axis`` (J, 3): unit vectors of
+    the joints' axes in the base, at zero; axis i goes through the origin of frame i. ``lower``, ``upper``
+    [rad] and ``velocity`` [rad/s] (J,): limits, NaN where the file states none. ``step`` (J + 1, 4, 4): from
+    each joint's frame, its axis laid along z, to the next one's, the first from the base, the last to the
+    tip; ``lay`` (J, 3, 3): the rotations that lay z along the axes in the links' frames.
     """
 
     links: tuple[str, ...]
@@ -60,16 +61,18 @@ class Chain:
     lay: FloatArray
 
     def tip(self, q: FloatArray) -> FloatArray:
-        """Poses (..., 4, 4) of the tip in the base at joint angles ``q`` (..., 6) [rad]."""
+        """Poses (..., 4, 4) of the tip in the base at joint angles ``q`` (..., J) [rad]."""
         return self._followed(q, tip_only=True)[..., 0, :, :]
 
     def frames(self, q: FloatArray) -> FloatArray:
-        """Poses (..., 7, 4, 4) of all links and the tip in the base at joint angles ``q`` (..., 6) [rad]."""
+        """Poses (..., J + 1, 4, 4) of all links and the tip in the base at joint angles ``q`` (..., J)
+        [rad]."""
         return self._followed(q, tip_only=False)
 
     def _followed(self, q: FloatArray, tip_only: bool) -> FloatArray:
-        rows = np.asarray(q, dtype=np.float64).reshape(-1, 6)
-        out = np.zeros((len(rows), 1 if tip_only else 7, 4, 4))
+        count = len(self.axis)
+        rows = np.asarray(q, dtype=np.float64).reshape(-1, count)
+        out = np.zeros((len(rows), 1 if tip_only else count + 1, 4, 4))
         out[..., 3, 3] = 1.0
         for first in range(0, len(rows), POSTURES_TOGETHER):
             some = slice(first, first + POSTURES_TOGETHER)
@@ -77,13 +80,13 @@ class Chain:
         return out.reshape(*np.shape(q)[:-1], *out.shape[1:])
 
     def _follow(self, q: FloatArray, out: FloatArray, tip_only: bool) -> None:
-        """Fills ``out`` (B, 7 or 1, 4, 4). Axes and place are kept as rows, (3, 3 B) and (3 B,): a turn about
-        z mixes two of them, a step is one product with a constant."""
+        """Fills ``out`` (B, J + 1 or 1, 4, 4). Axes and place are kept as rows, (3, 3 B) and (3 B,): a turn
+        about z mixes two of them, a step is one product with a constant."""
         count = len(q)
         cos, sin = (np.tile(f(q.T), 3) for f in (np.cos, np.sin))
         axes = np.repeat(self.step[0, :3, :3].T, count, axis=1)
         place = np.repeat(self.step[0, :3, 3], count)
-        for i in range(6):
+        for i in range(len(self.axis)):
             x, y = axes[0], axes[1]
             axes = np.stack([cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, axes[2]])
             if not tip_only:
@@ -101,9 +104,10 @@ def _put(out: FloatArray, axes: FloatArray, place: FloatArray) -> None:
 
 def read_chain(text: str, base: str = BASE_LINK, tip: str = TIP_LINK, own: bool = False) -> Chain:
     """The chain from ``base`` to ``tip`` in the text of a URDF file; joints that are fixed are part of
-    the way. In a file of the user's ``own`` other joints may move, and angles of frames count as the multiple
-    of 15 degrees that they round (:data:`ROUNDED`). Raises ``ValueError`` that says what is wrong: no XML, no
-    such chain, not six turning joints, other joints that move, numbers that are none.
+    the way. In a file of the user's ``own`` there may be seven joints, other ones may move, and angles of
+    frames count as the multiple of 15 degrees that they round (:data:`ROUNDED`). Raises ``ValueError`` that
+    says what is wrong: no XML, no such chain, not six turning joints, other joints that move, numbers that
+    are none.
     """
     try:
         root = ET.fromstring(text)
@@ -124,7 +128,7 @@ def read_chain(text: str, base: str = BASE_LINK, tip: str = TIP_LINK, own: bool 
     moving = [joint for joint in above.values() if joint.get("type") != "fixed"]
     if own:
         moving = [joint for joint in way if joint.get("type") != "fixed"]
-    if len(turning) != 6 or len(moving) != 6:
+    if len(turning) != len(moving) or len(turning) not in ((6, 7) if own else (6,)):
         what = f"has {len(moving)} joints that move, {len(turning)} of them turning on the way"
         raise ValueError(f"{what} from {base} to {tip}; six are needed, and no others")
     return _chain(way, own)
@@ -435,7 +439,8 @@ _LINK_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
 @dataclasses.dataclass(frozen=True, eq=False)
 class Machine:
     """One robot: ``data`` for its limits, speeds, coupling and home alone; ``chain`` and ``spherical`` from
-    its URDF, the latter None where it is planned as an arm with three parallel axes or an offset wrist."""
+    its URDF, the latter None where it is planned as an arm with three parallel axes, an offset wrist or
+    seven axes."""
 
     data: RobotData
     chain: Chain
@@ -469,7 +474,7 @@ class Machine:
         return self.spherical
 
     def flange(self, q: FloatArray) -> FloatArray:
-        """Flange poses (..., 4, 4) in the base at serial joint angles ``q`` (..., 6) [rad]."""
+        """Flange poses (..., 4, 4) in the base at serial joint angles ``q`` (..., J) [rad]."""
         return self.chain.tip(q)
 
 
@@ -528,6 +533,8 @@ def differences(machine: Machine) -> list[str]:
         out = list(parallel_arm.differences(data.form, chain.zero, chain.axis, MODEL_AGREEMENT))
     elif isinstance(data.form, OffsetParameters):
         out = list(offset_arm.differences(data.form, chain.zero, chain.axis, MODEL_AGREEMENT))
+    elif isinstance(data.form, SevenParameters):
+        out = list(seven_arm.differences(data.form, chain.zero, chain.axis, MODEL_AGREEMENT))
     else:
         out = list(_of_spherical(machine.shape, data.opw))
     for word, here, there in (

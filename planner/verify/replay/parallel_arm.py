@@ -43,7 +43,7 @@ def lines_apart(
     axis: FloatArray,
     most: float,
 ) -> Iterator[str]:
-    """Where axes (6, 3) through the first six frames ``zero`` (7, 4, 4) of a chain at zero, and the tip, its
+    """Where axes (J, 3) through the first frames ``zero`` (J + 1, 4, 4) of a chain at zero, and the tip, its
     last one, are not as planned within ``most`` [m] and [rad]: joints about ``axes``, by number, ``steps``
     from each to the next, and the ``tip`` (4, 4) on the last."""
     p = planned
@@ -58,7 +58,7 @@ def lines_apart(
         if not off <= most:
             yield f"axis {i + 1} is {1e3 * off:.6f} mm beside that of the URDF"
     pose = pose @ tip
-    apart = float(np.abs((pose if p.right is None else pose @ p.right) - zero[6]).max())
+    apart = float(np.abs((pose if p.right is None else pose @ p.right) - zero[-1]).max())
     if not apart <= most:
         yield f"the tip stands elsewhere than in the URDF, or turned, by {apart:.3g}"
 

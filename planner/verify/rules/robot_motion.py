@@ -457,7 +457,7 @@ def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tu
 
 def _drake(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Poses (K, 4, 4) in the world of all links and tools, and of a held block, by Drake's plant."""
-    names = [f"{arm}/{link}" for arm in model.arms for link in _LINK_CHAIN]
+    names = [f"{arm}/{link}" for arm in model.arms for link in _bodies(len(model.cell.arm(arm).home))]
     names += ["stock"] if model.stock.held_by is not None else []
     some = [model.body(name) for name in names]
     rows = model.stack(q)
@@ -470,8 +470,9 @@ def _drake(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArra
     return dict(zip(names, out, strict=True))
 
 
-_LINK_CHAIN: Final = ("base_link", *(f"link_{i}" for i in range(1, 7)), "tool")
-"""Bodies of an arm from its base to its tool."""
+def _bodies(joints: int) -> tuple[str, ...]:
+    """Bodies of an arm of so many joints from its base to its tool."""
+    return ("base_link", *(f"link_{i + 1}" for i in range(joints)), "tool")
 
 
 def _chains(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -480,6 +481,6 @@ def _chains(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArr
     for arm, rows in q.items():
         chain = arm_model.machine_of(model.cell.arm(arm).data).chain
         frames = model.bases[arm].reshape(-1, 1, 4, 4) @ chain.frames(rows)
-        for i, link in enumerate((*chain.links[:6], "tool")):
+        for i, link in enumerate(_bodies(len(chain.axis))[1:]):
             out[f"{arm}/{link}"] = frames[:, i]
     return out

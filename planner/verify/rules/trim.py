@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,17 +22,28 @@ from planner.tooling import Knife, Mill, Torch
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.files import UnreadError
 from planner.verify.job import TaskText
-from planner.verify.programs.steps import MoveStep, SignalStep, Step, WaitStep
+from planner.verify.programs.program_text import segment_of_name
+from planner.verify.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.trim.blade_motion import CORNER_ERROR, blade_way, sharp
 from planner.verify.trim.outlines import TRIM, Curve, winding
-from planner.verify.trim.torch_motion import PLACE_ERROR, PLACE_STEP, Trimming, TrimWork, Way, off_sheet
+from planner.verify.trim.torch_motion import (
+    PLACE_ERROR,
+    PLACE_STEP,
+    STANDING,
+    Trimming,
+    TrimWork,
+    Way,
+    begins,
+    longest_stay,
+    off_sheet,
+)
 
 NOTHING_TRIMMED = "nothing is trimmed"
 """Why rules about trimming have not run."""
 ANGLE_ERROR = np.deg2rad(0.5)
 """What facets of a mesh may turn its normals by [rad]."""
-STANDING = 0.05e-3
-"""A torch that moves by no more than this [m] stands."""
+LEAST_FAR = 0.2e-3
+"""A thread that watches a torch may take one that gets farther than this [m] for one that moves."""
 AVERAGE_SLACK = 0.95
 """Share of the least average feed that is accepted, as ramps of the replay are those of no controller."""
 SAME_PLACE = 1e-9
@@ -337,21 +348,24 @@ def trim_torch(context: Context, trimming: Trimming) -> Outcome:
 @rule("verify.trim_arc", TrimsSheet)
 def trim_arc(context: Context, trimming: Trimming) -> Outcome:
     """The arc starts with the torch at rest in the waste, far enough off all curves, and the program then
-    waits for it, no longer than it may; it burns all along its slot and nowhere else."""
+    waits for it, no longer than it may; it burns all along its slot and nowhere else. A program of UR watches
+    all along that it does, and ends where it does not, or the torch stands."""
     issues: list[Issue] = []
     count = 0
     torches = [work for work in trimming.works if work.claim.torch is not None]
     for work in torches:
         claim, motion = work.claim, context.motion
-        issues += _waits(context, claim)
+        others = {key for other in torches if other is not work for key in other.slots} - set(work.slots)
+        issues += [*_waits(context, work, others), *_guarded(context, work, others)]
         track, burning = work.track, work.burning
-        inner = np.zeros(len(track.time), dtype=bool)
         for begin, end in zip(burning.begin, burning.end, strict=True):
-            inside = (track.time > begin + 1e-6) & (track.time < end - 1e-6)
-            inner |= inside
-            start = min(int(np.searchsorted(track.time, begin, side="right")), len(track.time)) - 1
-            moved = np.linalg.norm(track.tip - track.tip[start], axis=1) > STANDING
-            stray = np.flatnonzero(inside & moved & ~np.isin(track.label, list(work.slots)))
+            moved, start = _under_way(work, begin, end)
+            if not (moved & np.isin(track.label, list(work.slots))).any() and any(
+                np.isin(other.track.label[_under_way(other, begin, end)[0]], list(other.slots)).any()
+                for other in torches
+            ):
+                continue  # another operation cuts with it
+            stray = np.flatnonzero(moved & ~np.isin(track.label, list(work.slots)))
             for i in stray[:1]:
                 what = f"{claim.signal} is on in {track.label[i]}, where nothing is cut"
                 issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(track.rows[i])))
@@ -368,6 +382,15 @@ def trim_arc(context: Context, trimming: Trimming) -> Outcome:
                 what = f"{claim.signal} is off in {key}: nothing is cut there"
                 issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
     return Outcome(tuple(issues), where=f"{count} slots" if torches else NOTHING_TRIMMED)
+
+
+def _under_way(work: TrimWork, begin: float, end: float) -> tuple[BoolArray, int]:
+    """Rows (T,) of a torch's track in a time [s], but for those where it still stands, and the one from which
+    that is."""
+    track = work.track
+    inside = (track.time > begin + 1e-6) & (track.time < end - 1e-6)
+    start = min(int(np.searchsorted(track.time, begin, side="right")), len(track.time)) - 1
+    return inside & (np.linalg.norm(track.tip - track.tip[start], axis=1) > STANDING), start
 
 
 def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin: float) -> Iterator[Issue]:
@@ -393,9 +416,10 @@ def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin:
         yield at_sample("verify.trim_arc", what, motion, claim.arm, row)
 
 
-def _waits(context: Context, claim: TrimsSheet) -> Iterator[Issue]:
+def _waits(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
     """Whether the program waits for the arc between its start and the next move, as the text has it; no
-    other program can, that starts it."""
+    other program can, that starts it. ``others``: slots of other operations, which have their own waits."""
+    claim = work.claim
     if claim.ok_signal is None:
         return
     for task in context.job.tasks:
@@ -407,14 +431,21 @@ def _waits(context: Context, claim: TrimsSheet) -> Iterator[Issue]:
                 )
             continue
         started: Step | None = None
+        waited = False
         for step in task.steps:
             if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
-                started = step if step.value else None
-            elif isinstance(step, WaitStep) and started is not None and _is_ok(step, claim):
-                started = None
+                started, waited = step if step.value else None, False
+            elif isinstance(step, WaitStep):
+                waited |= _is_ok(step, claim)
             elif isinstance(step, MoveStep) and started is not None:
-                yield _unwaited(task, started, claim)
+                if not waited and _slot(step) not in others:
+                    yield _unwaited(task, started, claim)
                 started = None
+
+
+def _slot(move: MoveStep) -> str:
+    """The key of a move's segment."""
+    return segment_of_name(move.procedure).key
 
 
 def _is_ok(step: WaitStep, claim: TrimsSheet) -> bool:
@@ -433,6 +464,47 @@ def _unwaited(task: TaskText, step: Step, claim: TrimsSheet) -> Issue:
         f"behind {claim.signal} the torch moves without a wait for {claim.ok_signal} of {claim.timeout:g} s "
     )
     return at_step("verify.trim_arc", what + "at most, which breaks off where no arc burns", task, step)
+
+
+def _guarded(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
+    """Whether a URScript program, which goes on in the slot behind a pause, watches its torch wherever that
+    moves: output and input, and that it does not stand for longer than a torch may take, but for as long as
+    it does. ``others`` as :func:`_waits` has it."""
+    claim = work.claim
+    for task in context.job.tasks:
+        if task.script is None or task.arm.name != claim.arm:
+            continue
+        lit: Step | None = None
+        guard: GuardStep | None = None
+        for step in task.steps:
+            if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
+                lit, guard = step if step.value else None, None
+            elif isinstance(step, GuardStep):
+                guard = step if step.on else None
+            elif isinstance(step, MoveStep) and lit is not None and _slot(step) not in others:
+                yield from _watched(task, lit, guard, work)
+                lit = None
+
+
+def _watched(task: TaskText, lit: Step, guard: GuardStep | None, work: TrimWork) -> Iterator[Issue]:
+    """What is wrong with what watches a torch that moves, from where it was ``lit`` on."""
+    claim = work.claim
+    signals = claim.signal.lower(), (claim.ok_signal or "").lower()
+    if guard is None or (guard.signal.lower(), guard.given.lower()) != signals:
+        what = (
+            f"the torch moves with {claim.signal} on, and nothing watches that it burns: behind a pause the "
+        )
+        yield at_step("verify.trim_arc", what + "program would go on in the slot", task, lit)
+        return
+    stretch = max(LINGER_KERFS * claim.kerf, LEAST_STRETCH)
+    most = LINGER * stretch / (claim.least_feed * claim.feed) + LINGER_TIME
+    stays = max((longest_stay(work.of_slot(key), guard.far) for key in work.slots), default=0.0)
+    if not stays < guard.stood <= most or guard.far < LEAST_FAR:
+        what = (
+            f"the program ends where the torch is within {mm(guard.far):g} mm for {guard.stood:g} s; wanted: "
+        )
+        what += f"{mm(LEAST_FAR):g} mm or more, and over {stays:.2f} s, to {most:.2f} s"
+        yield at_step("verify.trim_arc", what, task, guard)
 
 
 @rule("verify.trim_order", TrimsSheet)
@@ -492,6 +564,9 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
             least = claim.thickness + claim.mill.below - GOING_DOWN * claim.height
             low = (deep[1:] >= least)[track.joined] & (np.diff(deep)[track.joined] <= SLOPE_DOWN * length)
             time, length, there = time[low], length[low], there[low]
+        else:  # over its pierce point it stands for as long as it takes
+            goes = (np.arange(1, len(track.time)) > begins(track))[track.joined]
+            time, length, there = time[goes], length[goes], there[goes]
         mean = float((length / there).sum() / max(float(time.sum()), 1e-9))
         if mean < AVERAGE_SLACK * claim.least_feed:
             what = f"the tool cuts at {100 * mean:.0f} % of its feed in {key} on average; wanted: "

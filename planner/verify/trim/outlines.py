@@ -15,15 +15,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import Claim
+from planner.claims.milling import DrawnCurve
 from planner.claims.trim import TrimOutline, TrimsSheet, slot_names
 from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
-from planner.verify.files import UNITS, UnreadError
-from planner.verify.files.curves import read_curves
+from planner.verify.files import UnreadError
 from planner.verify.files.sheets import sheet_face, tolerance_of
 from planner.verify.milling.surface_passes import Laid
-from planner.verify.milling.wanted_ways import NotThereError, points
+from planner.verify.milling.wanted_ways import NotThereError, curves_of, points
 from planner.verify.trim.rough_face import levelled, noise_turn
 
 TRIM = "trim"
@@ -66,20 +66,17 @@ def expanded(claim: TrimsSheet) -> TrimsSheet:
     layer by layer, in the file's order, with numbers. Raises `UnreadError`, also where one is open."""
     out: list[TrimOutline] = []
     for one in claim.outlines:
-        if not one.layers:
+        if one.drawn is None or not one.drawn.layers:
             out.append(one)
             continue
-        if one.drawn is None or one.drawn.file is None:
-            raise UnreadError(f"{one.name} stands for all curves of a file, and names none")
         number = 0
-        for layer in one.layers:
-            for curve in read_curves(one.drawn.file, UNITS[one.drawn.unit], layer):
-                number += 1
-                if not curve.closed:
-                    raise UnreadError(f"curve {number} of {one.name} is open")
-                mm = tuple(map(tuple, (curve.points / MILLIMETRE).tolist()))
-                own = dataclasses.replace(one.drawn, kind="polyline", points_mm=mm, file=None)
-                out.append(dataclasses.replace(one, name=f"{one.name}_{number}", drawn=own, layers=()))
+        for curve in curves_of(one.drawn):
+            number += 1
+            if not curve.closed:
+                raise UnreadError(f"curve {number} of {one.name} is open")
+            mm = tuple(map(tuple, (curve.points / MILLIMETRE).tolist()))
+            own = DrawnCurve("polyline", mm)
+            out.append(dataclasses.replace(one, name=f"{one.name}_{number}", drawn=own))
         if not number:
             raise UnreadError(f"{one.name} has no curves")
     return dataclasses.replace(claim, outlines=tuple(out))

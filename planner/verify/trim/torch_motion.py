@@ -195,6 +195,34 @@ class Trimming:
         self.works = tuple(works)
 
 
+STANDING = 0.05e-3
+"""A torch that moves by no more than this [m] stands."""
+
+
+def begins(track: Track) -> int:
+    """The last row at which a tool still stands where its track begins: the first one of none that stands."""
+    moved = np.linalg.norm(track.tip - track.tip[:1], axis=1) > STANDING
+    return max(int(np.argmax(moved)) - 1, 0) if moved.any() else len(moved) - 1
+
+
+FIRST_SAMPLES = 256
+"""Samples at once in which it is looked for where a tool gets so far, four times as many each time."""
+
+
+def longest_stay(track: Track, far: float) -> float:
+    """The longest time [s] in which a tool gets no farther than ``far`` [m] from a place, from where it
+    begins to move: each time from the first place that is farther from the one before."""
+    worst, last, at = 0.0, len(track.tip) - 1, begins(track)
+    while at < last:
+        count, away = FIRST_SAMPLES, np.zeros(0, dtype=bool)
+        while not away.any() and len(away) < last - at:
+            away = np.linalg.norm(track.tip[at + 1 : at + 1 + count] - track.tip[at], axis=1) > far
+            count *= 4
+        step = int(np.argmax(away)) + 1 if away.any() else len(away)
+        worst, at = max(worst, float(track.time[at + step] - track.time[at])), at + step
+    return worst
+
+
 def body(torch: Torch) -> RoundBody:
     """A torch as a body of revolution, from the TCP backwards: cone and body, by its half section, a convex
     polygon; distances outside of it are from its edges, inside from the nearest of them."""

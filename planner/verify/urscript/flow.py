@@ -7,6 +7,9 @@ far from its target the way may leave the straight lines, and 0 is an exact stop
 A program that meets another controller's has three functions and a thread, which end it as they have to
 be: the own running wire and all that it has switched on go off before. All of them read that wire back,
 which stays low behind a pause. Questions stand between its fall and its rise; nothing else switches it.
+
+A torch that has a thread burns from its output's rise on, at rest; behind the wait for its input and a pause
+the thread begins, and only straight moves stand between that and its end, with which the output falls.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from planner.verify.programs.steps import (
     CheckStep,
     Fault,
     FlowError,
+    GuardStep,
     JointTarget,
     Load,
     MessageStep,
@@ -49,8 +53,10 @@ from planner.verify.urscript.syntax_tree import (
     STAND,
     WATCH,
     Await,
+    AwaitArc,
     Begins,
     Check,
+    GuardArc,
     Joint,
     Look,
     Output,
@@ -65,6 +71,7 @@ from planner.verify.urscript.syntax_tree import (
     Straight,
     Watch,
 )
+from planner.verify.urscript.torches import Torches
 
 MAIN_PROCEDURE: Final = "main"
 """What the program is called in steps outside of its segments: its own name is the problem's."""
@@ -121,10 +128,12 @@ class _Runner:
         """Where the running wire has fallen for a question that is still open."""
         self.asked = self.watched = self.stays_low = self.rose = self.unwatched = False
         self.waited = 0.0
+        self.torches = Torches(program, self._fail, self._output, self._input)
 
     def run(self) -> tuple[Step, ...]:
         if self.meets:
             self._endings()
+        self.torches.begin()
         for statement in self.program.body:
             if isinstance(statement, Begins):
                 self.procedure = statement.label
@@ -133,10 +142,12 @@ class _Runner:
                 self._fail(statement, "a text that is to be read before a question, and no question follows")
             if not isinstance(statement, Straight | Stand):
                 self.procedure = MAIN_PROCEDURE
+            self.torches.take(statement)
             if not (self.meets and self._runs_or_not(statement)):
                 self._statement(statement)
         if self.reading:
             self._fail(self.program.body[-1], "a text that is to be read before a question, and none follows")
+        self.torches.end(self.program.body[-1])
         if self.low is not None or self.rose:
             last = self.low or self.program.body[-1]
             self._fail(last, "the running wire falls for a question, and does not rise and settle behind it")
@@ -177,6 +188,10 @@ class _Runner:
                 self.steps.append(step)
             case Look():
                 self._look(statement)
+            case StaysLow(number=number) if self.torches.watches(number):
+                if any(isinstance(step, SignalStep) for step in self.steps):
+                    what = "the program looks whether a torch stays on behind what it has switched"
+                    self._fail(statement, what)
             case StaysLow(number=number, off=off, text=text):
                 wanted = vocabulary.STAYS_ON.filled(signal=self.wires.running)
                 if not self.meets or not self._runs(number) or text != wanted:
@@ -197,6 +212,14 @@ class _Runner:
                     self._fail(statement, f"there is no function {name}")
                 given = self._input(ending.numbers[0])
                 self.steps.append(WaitStep(*where, name, seconds, given, float(value), True))
+            case AwaitArc(name=name, seconds=seconds):
+                given = self._input(self.program.torches[name].given or 0)
+                self.steps.append(WaitStep(*where, name, seconds, given, 1.0, True))
+            case GuardArc(name=name, on=on):
+                thread = self.program.torches[name]
+                given = "" if thread.given is None else self._input(thread.given)
+                own = self._output(-1 if thread.own is None else thread.own)
+                self.steps.append(GuardStep(*where, own, given, thread.stood, thread.far, on))
             case Check(value=value, own=own):
                 ending = self.program.endings.get(CHECK)
                 if ending is None:

@@ -141,6 +141,37 @@ class Ending(Statement):
 
 
 @dataclass(frozen=True, slots=True)
+class AwaitArc(Statement):
+    """A call of the function `name`, which waits until a torch burns, `seconds` at most."""
+
+    name: str
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class GuardArc(Statement):
+    """The thread `name`, which watches a torch that burns, begins or is killed."""
+
+    name: str
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ArcFunction(Statement):
+    """The function that waits for a torch to burn, or the thread that watches it: it switches the outputs
+    `off`, shows `text` and ends the program where the input `given` does not say in time that it burns, or
+    not any more, where the output `own` (None of the function) is off, or where the torch stands for more
+    than `stood` [s], no farther than `far` [m] from a place. `given` is None of a thread without an input."""
+
+    given: int | None
+    own: int | None
+    off: tuple[int, ...]
+    text: str
+    stood: float = 0.0
+    far: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Begins(Statement):
     """A comment that says which segment begins: its label."""
 
@@ -159,13 +190,15 @@ class Data:
 @dataclass(frozen=True, slots=True)
 class Program:
     """A file: the `name` as in def, its data by name, and its statements behind them. `endings`: the
-    functions and the thread of a program that meets another one, by name; else empty."""
+    functions and the thread of a program that meets another one, by name; else empty. `torches`: functions
+    and threads of torches."""
 
     file: str
     name: str
     data: Mapping[str, Data]
     body: tuple[Statement, ...]
     endings: Mapping[str, Ending] = field(default_factory=dict)
+    torches: Mapping[str, ArcFunction] = field(default_factory=dict)
 
     @property
     def moves(self) -> int:
@@ -193,6 +226,13 @@ STAND = "stand"
 """The function that waits in place of a move."""
 WATCH, WATCHING = "watch_partner", "watching"
 """The thread that watches that wire, and the variable that holds it."""
+AWAIT_ARC, WATCH_ARC, WATCHING_ARC = "await_arc", "watch_arc", "watching_arc"
+"""The function that waits for a torch to burn, the thread that watches it, and what holds that; of further
+torches with a number behind."""
+ARC_FUNCTION: Final = rf"({AWAIT_ARC}|{WATCH_ARC})(?:_\d+)?"
+"""Names of these functions and threads,"""
+ARC_VARIABLE: Final = rf"{WATCHING_ARC}(?:_\d+)?"
+"""and of what holds them."""
 
 _RESERVED_TEXT = """
 and break continue def elif else end enter_critical exit_critical false False for global halt if in join kill
@@ -202,6 +242,7 @@ pose_dist get_forward_kin get_inverse_kin set_tcp set_payload set_target_payload
 set_standard_digital_out set_configurable_digital_out set_tool_digital_out set_digital_out p
 get_standard_digital_in get_configurable_digital_in get_standard_digital_out get_configurable_digital_out
 await_line await_running check_partner watch_partner watching passed level limit own stand seconds
+arc_lost arc_stood arc_place get_actual_tcp_pose
 """
 RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Words of the language and of its functions, which no variable may hide."""

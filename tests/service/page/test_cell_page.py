@@ -171,6 +171,31 @@ def test_bases_and_obstacles_are_moved_by_numbers(page: Page, server: str, tmp_p
     expect(page.locator('[data-path="cell.arms.0.base.rpy_deg"] input').nth(2)).to_have_value("15")
 
 
+def test_a_number_that_is_being_typed_stays_when_the_service_answers(
+    page: Page, server: str, tmp_path: Path
+) -> None:
+    looked(page, server, tmp_path, IN_STOCK.replace("\nstock:", POST + "stock:"), ROWS)
+    page.select_option("#cell-move", "post")
+    number = page.get_by_role("spinbutton", name="post, y [mm]")
+    other = page.get_by_role("spinbutton", name="post, x [mm]")
+    held: list[Route] = []
+    page.route(re.compile("/v1/cell"), lambda route: held.append(route))  # playwright marks its handlers
+    other.press("ArrowUp")
+    while not held:
+        page.wait_for_timeout(50)
+    number.fill("4")  # and the answer to the key before it comes
+    with page.expect_response(re.compile("/v1/cell")) as answer:
+        held[0].continue_()
+    answer.value.finished()
+    page.wait_for_timeout(500)
+    page.unroute_all()
+    page.keyboard.type("00\n")
+    expect(number).to_have_value("400")
+    page.locator("summary", has_text="All fields of the cell").click()
+    field = page.locator('[data-path="cell.obstacles.0.shapes.0.pose.xyz_mm"] input')
+    expect(field.nth(1)).to_have_value("400")
+
+
 def test_reach_is_drawn_over_the_block_and_says_what_was_looked_at(
     page: Page, server: str, tmp_path: Path
 ) -> None:

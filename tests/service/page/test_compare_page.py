@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, Route, expect
+from playwright.sync_api import TimeoutError as NotInTime
 
 import planner
 from tests import small_problem
@@ -154,6 +155,36 @@ def test_a_job_that_is_gone_is_told_and_nothing_else_is_shown_for_it(
     expect(page.locator("#banner")).to_contain_text("there is none")
     page.locator("#a").select_option(jobs[0])
     expect(figures(page)).to_have_count(3)
+
+
+def test_a_job_under_way_is_followed_to_its_end(page: Page, server: str, jobs: tuple[str, str]) -> None:
+    """Its state and stage as they change; figures, programs and the picture when it has ended, without
+    anybody's doing, and over a time in which the service is away."""
+    as_it_is: dict[str, Any] = planner.Client(server).job(jobs[1])
+    now = {**as_it_is, "state": "queued", "stage": "", "metrics": None, "seconds": None}
+    one, files = re.compile(f"/v1/jobs/{jobs[1]}$"), re.compile(f"/v1/jobs/{jobs[1]}/files$")
+    page.route(one, lambda route: route.fulfill(json=now))
+    page.route(files, lambda route: route.fulfill(json={"files": []}))
+    page.goto(f"{server}/ui/compare?a={jobs[0]}&b={jobs[1]}")
+    states = page.locator("#result td.state")
+    expect(states).to_have_text(["Verified", "Waiting"])
+    expect(page.locator("#result")).to_contain_text("The second has no plan to draw.")
+    now = {**now, "state": "running", "stage": "motion", "fraction": 0.5}
+    expect(states.nth(1)).to_have_text("Planningmotion, 50 %")
+    expect(page.locator("#b option:checked")).to_contain_text("Planning")
+    now = {**now, "stage": "proof", "fraction": 0.25}
+    expect(states.nth(1)).to_contain_text("proof, 25 %")
+    page.unroute(one)
+    page.route(one, lambda route: route.abort())
+    expect(page.locator("#banner")).to_contain_text("cannot be reached")
+    page.unroute(files)
+    page.unroute(one)
+    expect(states).to_have_text(["Verified", "Verified"])
+    expect(page.locator("#banner")).to_be_hidden()
+    expect(page.get_by_role("button", name="Draw both over each other")).to_be_visible()
+    expect(page.locator("#b option:checked")).to_contain_text("Verified")
+    with pytest.raises(NotInTime), page.expect_request(one, timeout=3000):
+        pass  # nothing more is asked for
 
 
 def test_jobs_beyond_the_list_are_swapped_and_a_service_that_is_away_is_asked_again(

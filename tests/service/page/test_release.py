@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
@@ -266,3 +266,40 @@ def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
     for width in (390, 1440):
         page.set_viewport_size({"width": width, "height": 900})
         assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
+
+
+WHOLE: Final = """() => {
+  const head = document.querySelector("header.top").getBoundingClientRect(), out = [];
+  for (const one of document.querySelectorAll("header.top a, header.top button, #me")) {
+    const box = one.getBoundingClientRect();
+    const aside = box.left < head.left || box.right > head.right;
+    const beyond = aside || box.top < head.top || box.bottom > head.bottom;
+    const nav = one.parentElement.getBoundingClientRect();
+    const seen = box.right <= nav.right + 1 && one.scrollWidth <= one.clientWidth + 1;
+    if (one.checkVisibility() && (beyond || !seen)) out.push(`${one.innerText}: ${JSON.stringify(box)}`);
+    if (one.matches("nav a") && box.height > 45) out.push(`${one.innerText}: in two lines`);
+  }
+  return out;
+}"""
+"""What of the head of a page is cut off, beyond it, or broken into two lines."""
+
+
+def test_the_head_of_the_page_is_whole_at_each_width(
+    page: Page, shop: tuple[str, str, dict[str, str]]
+) -> None:
+    """With all pages in it, who is logged in, and where to log out: on telephones the last page was cut off,
+    and on tablets two words stood in two lines."""
+    url, _, tokens = shop
+    login(page, url, tokens["ann"])
+    page.goto(f"{url}/ui/audit")
+    expect(page.locator("#me")).to_have_text("ann · shop · release")
+    expect(page.locator("header.top nav a")).to_have_count(6)
+    for width in (390, 480, 761, 768, 1000, 1001, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        expect(page.locator("#me")).to_be_visible()
+        assert page.evaluate(WHOLE) == [], width
+        height = page.locator("header.top").evaluate("(one) => one.offsetHeight")
+        assert height < (120 if width <= 1000 else 60), width
+    who = page.locator("#rows td:nth-child(2) bdi", has_text="bob").first
+    page.set_viewport_size({"width": 390, "height": 900})
+    assert who.evaluate("(one) => one.getClientRects().length") == 1  # and no letter of it in another line

@@ -135,23 +135,21 @@ def _tool(change: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArra
     return own
 
 
-_CURVE, _TIPS = point_cut._curve, point_cut.tips
+_ALONG, _TIPS = point_cut._along, point_cut.tips
 MIRROR, SWAP = np.array([1.0, -1.0, 1.0]), [1, 0, 2]
 FAULTS: dict[str, tuple[str, Any]] = {
     "shifted": ("_engraving_tool", _tool(lambda t, a: (t + np.array([4e-4, 0.0, 0.0]), a))),
-    "mirrored": ("_curve", lambda *given: _CURVE(*given) * MIRROR),
-    "x and y swapped": ("_curve", lambda *given: _CURVE(*given)[:, SWAP]),
+    "mirrored": ("_along", lambda own: _ALONG(own) * MIRROR),
+    "x and y swapped": ("_along", lambda own: _ALONG(own)[:, SWAP]),
     "half as long": ("_engraving_tool", _tool(lambda t, a: (t[: len(t) // 2], a[: len(a) // 2]))),
-    "the other way": ("_curve", lambda *given: _CURVE(*given)[::-1]),
+    "the other way": ("_along", lambda own: _ALONG(own)[::-1]),
     "half as deep": ("_engraving_tool", _tool(lambda t, a: (t + 0.4e-3 * a, a))),
     "not leant": ("leant", lambda normal, *more: normal),
     "radius not compensated": ("tips", lambda contact, *more: contact),
     "curve left out": ("engraved_runs", lambda *given, real=point_cut.engraved_runs: real(*given)[:-1]),
     "first curve twice": (
-        "_curve",
-        lambda spec, field, real=_CURVE: (
-            real(FIRST[0], field) if FIRST else FIRST.append(spec) or real(spec, field)
-        ),
+        "_along",
+        lambda own, real=_ALONG: real(FIRST[0]) if FIRST else FIRST.append(own) or real(own),
     ),
 }
 FIRST: list[Any] = []

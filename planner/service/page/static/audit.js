@@ -7,9 +7,11 @@ const asked = new URLSearchParams(location.search);
 let next = null;
 let turn = 0; // of what was asked last; answers to former questions are dropped
 
+const moment = (at) => `${at.slice(0, 19).replace("T", " ")} UTC`;
+
 function details(about) {
   const known = ["release", "file", "note", "reason", "released_by", "link", "made_by", "until", "kind"].filter((name) => about[name]);
-  return known.map((name, i) => [i ? h("br") : null, `${name.replace("_", " ")}: `, h("bdi", {}, String(about[name]))]);
+  return known.map((name, i) => [i ? h("br") : null, `${name.replace("_", " ")}: `, h("bdi", {}, name === "until" ? moment(about[name]) : String(about[name]))]);
 }
 
 function row(one) {
@@ -20,7 +22,7 @@ function row(one) {
     h("td", {}, h("bdi", {}, one.by), h("span", { class: "sub" }, one.team ?? "")),
     h("td", {}, `${one.act} `, there ? h("a", { href: `/ui/jobs/${one.job}` }, name) : name, h("span", { class: "sub" }, one.job.slice(0, 8))),
     h("td", { class: "wide" }, details(one.about ?? {})),
-    h("td", {}, h("time", { dateTime: one.at }, `${one.at.slice(0, 19).replace("T", " ")} UTC`)));
+    h("td", {}, h("time", { dateTime: one.at }, moment(one.at))));
 }
 
 async function load(cursor = null) {

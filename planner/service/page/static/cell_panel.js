@@ -213,21 +213,30 @@ export class CellPanel {
     const move = this.data?.moves.find((one) => one.name === name && one.fields.every(({ field }) => this.reachable(field)));
     $("cell-move").value = move ? name : "";
     if (this.view.works) this.view.choose(move ? name : null);
-    show($("cell-numbers"), Boolean(move));
+    const place = $("cell-numbers");
+    show(place, Boolean(move));
     if (!move) return;
     const pose = this.poseOf(move);
-    $("cell-numbers").replaceChildren(...FIELDS.map(([label, key, i, unit, step]) => {
+    const typed = this.moved?.name === name && place.contains(document.activeElement);
+    this.moved = move;
+    if (typed) return this.write(pose); // what is being typed stays
+    place.replaceChildren(...FIELDS.map(([label, key, i, unit, step]) => {
       const input = h("input", { type: "number", step: "any", value: round(pose[key][i]), "aria-label": `${nameOf(move)}, ${label} [${unit}]`, data: { key, i },
-        onchange: () => Number.isFinite(input.valueAsNumber) && this.set(move, key, i, input.valueAsNumber),
+        onchange: () => Number.isFinite(input.valueAsNumber) && this.set(this.moved, key, i, input.valueAsNumber),
         onkeydown: (event) => {
           const way = { ArrowUp: 1, ArrowDown: -1 }[event.key];
           if (!way) return;
           event.preventDefault();
           input.value = Math.round(input.valueAsNumber / step + way) * step;
-          this.set(move, key, i, input.valueAsNumber);
+          this.set(this.moved, key, i, input.valueAsNumber);
         } });
       return h("label", {}, h("span", {}, `${label} [${unit}]`), input);
-    }), h("button", { type: "button", class: "link", onclick: () => goTo(move.fields[0].field) }, "all its fields"));
+    }), h("button", { type: "button", class: "link", onclick: () => goTo(this.moved.fields[0].field) }, "all its fields"));
+  }
+
+  // The numbers of what is chosen, but for the one that is being typed.
+  write(pose) {
+    for (const input of $("cell-numbers").querySelectorAll("input")) if (document.activeElement !== input) input.value = round(pose[input.dataset.key][input.dataset.i]);
   }
 
   set(move, key, i, value) {
@@ -243,7 +252,7 @@ export class CellPanel {
     this.hand = { move, pose };
     if (this.view.works && this.data.reach) this.view.field([], [], 0); // of the place that it had
     if (this.view.works) this.view.carry(move, pose);
-    for (const input of $("cell-numbers").querySelectorAll("input")) if (document.activeElement !== input) input.value = round(pose[input.dataset.key][input.dataset.i]);
+    this.write(pose);
     return pose;
   }
 

@@ -1,17 +1,19 @@
 // Two jobs side by side: state, figures, what differs in their problems, issues that only one has.
 import { fileOf, job as path, json, text, Unreachable } from "./api.js";
-import { banner, patiently, ready, script, tell } from "./common.js";
+import { banner, patiently, reached, ready, script, tell } from "./common.js";
 import { $, h, icon } from "./dom.js";
 import { short } from "./form.js";
 import { fieldName, issueList } from "./issues.js";
 import { badge } from "./outcome.js";
 import { differences } from "./schema.js";
-import { ago, BETTER, duration, figureName, figureOrder, number, STATES, unitOf } from "./words.js";
+import { ago, BETTER, duration, figureName, figureOrder, isOpen, number, STATES, unitOf } from "./words.js";
 import { readYaml } from "./yaml.js";
 
 const asked = new URLSearchParams(location.search);
 const RETRY_MS = 2000;
+const EVERY_MS = 1500; // jobs under way are looked at
 const called = (job) => job.title || job.name; // jobs of a sweep have one name
+const label = (job) => `${called(job)} · ${STATES[job.state]?.[0] ?? job.state} · ${ago(job.created)} · ${job.id.slice(0, 6)}`;
 let turn = 0; // of what was asked last; answers to former questions are dropped
 let wanted = false; // whether both are to be drawn
 let left = null; // how the picture of two others was left
@@ -29,7 +31,7 @@ async function load() {
       faults.push(error);
     }
   }
-  const options = () => jobs.map((one) => h("option", { value: one.id }, `${called(one)} · ${STATES[one.state]?.[0] ?? one.state} · ${ago(one.created)} · ${one.id.slice(0, 6)}`));
+  const options = () => jobs.map((one) => h("option", { value: one.id }, label(one)));
   for (const name of ["a", "b"]) {
     $(name).replaceChildren(h("option", { value: "" }, "Choose a job"), ...options());
     $(name).value = jobs.some((one) => one.id === asked.get(name)) ? asked.get(name) : "";
@@ -56,6 +58,7 @@ async function compare() {
     endView();
     $("result").replaceChildren(figures(one, two), ...inView(a, b, lists), programs(a, b, lists), fields(p, q), issues(one, two));
     banner("");
+    follow(mine, [one, two]);
   } catch (error) {
     if (mine !== turn) return;
     empty("These two cannot be compared now."); // and not what was chosen before
@@ -63,6 +66,29 @@ async function compare() {
     tell(error, true);
   }
 }
+
+// What is under way is looked at until it has ended; then all is drawn anew.
+async function follow(mine, seen) {
+  for (const one of seen) for (const option of document.querySelectorAll(`#a [value="${one.id}"], #b [value="${one.id}"]`)) option.textContent = label(one);
+  if (!seen.some((one) => isOpen(one.state))) return;
+  await new Promise((after) => setTimeout(after, EVERY_MS));
+  if (mine !== turn) return;
+  let now = seen;
+  try {
+    now = await Promise.all(seen.map((one) => (isOpen(one.state) ? json(path(one.id)) : one)));
+    if (mine !== turn) return;
+    reached();
+  } catch (error) {
+    if (mine !== turn) return;
+    if (!(error instanceof Unreachable)) return show(); // says what became of it
+    tell(error, true);
+  }
+  if (now.some((one, i) => one.state !== seen[i].state)) return show();
+  $("result").querySelectorAll("td.state").forEach((cell, i) => cell.replaceChildren(...stateOf(now[i])));
+  follow(mine, now);
+}
+
+const stateOf = (job) => [badge(job.state), isOpen(job.state) && job.stage ? h("span", { class: "sub" }, `${job.stage}, ${Math.round(100 * job.fraction)} %`) : null].filter(Boolean);
 
 // Of what is shown of a former choice nothing goes on.
 function endView() {
@@ -96,7 +122,7 @@ function figures(one, two) {
     h("div", { class: "scroll" }, h("table", { class: "sides" },
       h("thead", {}, h("tr", {}, h("td", {}), h("th", { class: "n" }, "First: ", link(one)), h("th", { class: "n" }, "Second: ", link(two)), h("th", { class: "n" }, "Change"))),
       h("tbody", {},
-        h("tr", {}, h("th", { scope: "row" }, "State"), h("td", { class: "n" }, badge(one.state)), h("td", { class: "n" }, badge(two.state)), h("td", {}, "")),
+        h("tr", {}, h("th", { scope: "row" }, "State"), [one, two].map((job) => h("td", { class: "n state" }, stateOf(job))), h("td", {}, "")),
         names.map((name) => h("tr", {}, h("th", { scope: "row" }, figureName(name)), h("td", { class: "n" }, value(one, name)), h("td", { class: "n" }, value(two, name)), change(name))),
         h("tr", {}, h("th", { scope: "row" }, "Planned in"), [one, two].map((job) => h("td", { class: "n" }, job.seconds ? duration(job.seconds) : "–")), h("td", {}, "")),
       ))),

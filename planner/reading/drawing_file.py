@@ -1,0 +1,94 @@
+"""All curves of a file, which an operation follows one by one: of a DXF drawing or of a Rhino file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from planner.claims.milling import DrawnCurve
+from planner.geometry.units import LENGTH_UNITS
+from planner.issues import Issue
+from planner.reading import rhino
+from planner.reading.drawing import FileCurve, read_dxf
+from planner.reading.strict_yaml import FileName, Strict, Unit
+
+RHINO_SUFFIX = ".3dm"
+"""How names of Rhino files end; others are taken for DXF."""
+
+
+class DrawingFile(Strict):
+    """All curves of a DXF or Rhino file (3DM), or of some of its layers, in the order of the file. Needs the
+    extra ``cad`` of Tandem.
+
+    ``unit`` is of a DXF file, which states none that is certain; a Rhino file states its own. Of a Rhino file
+    ``layers`` are names or paths (``roof::rails``), what is hidden is left out, and ``name`` and ``colour``
+    choose objects further.
+    """
+
+    file: FileName
+    unit: Unit | None = None
+    layers: Annotated[
+        tuple[Annotated[str, Field(min_length=1, max_length=255)], ...] | None,
+        Field(min_length=1, max_length=50, description="of the file, one after the other; none: all of it"),
+    ] = None
+    name: Annotated[
+        str | None, Field(min_length=1, max_length=255, description="of objects of a Rhino file")
+    ] = None
+    colour: Annotated[
+        str | None,
+        Field(pattern=r"^#[0-9a-fA-F]{6}$", description="of objects of a Rhino file as shown, '#rrggbb'"),
+    ] = None
+
+    @property
+    def of_rhino(self) -> bool:
+        """Whether it is a Rhino file, by its name."""
+        return self.file.lower().endswith(RHINO_SUFFIX)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.layers is not None and len({layer.lower() for layer in self.layers}) != len(self.layers):
+            raise ValueError("a layer stands twice in layers; name each once")
+        if not self.of_rhino and self.unit is None:
+            raise ValueError("a DXF file needs its unit, as in unit: mm")
+        if not self.of_rhino and (self.name or self.colour):
+            raise ValueError("name and colour are of objects of Rhino files; choose by layers")
+        return self
+
+    def looked_up(self, folder: Path) -> DrawingFile:
+        """The same, named from anywhere."""
+        return self.model_copy(update={"file": str(folder / self.file)})
+
+    def drawn(self) -> DrawnCurve:
+        """What it stands for, for claims."""
+        kind = "rhino" if self.of_rhino else "dxf"
+        return DrawnCurve(
+            kind,
+            (),
+            Path(self.file),
+            self.unit or "",
+            name=self.name,
+            colour=self.colour,
+            layers=self.layers or (None,),
+        )
+
+    def curves(self, field: str) -> tuple[list[FileCurve], list[Issue]]:
+        """Its curves in SI units, layer by layer, in the order of the file; and notes.
+
+        Raises ``TandemError``: as :func:`planner.reading.drawing.read_dxf` and
+        :func:`planner.reading.rhino.curves`.
+        """
+        out: list[FileCurve] = []
+        notes: list[Issue] = []
+        for layer in self.layers or (None,):
+            if self.of_rhino:
+                chosen = rhino.RhinoFile.model_construct(
+                    file=self.file, layer=layer, name=self.name, colour=self.colour, unit=self.unit
+                )
+                found, told = rhino.curves(chosen, Path(), field)
+            else:
+                found, told = read_dxf(Path(self.file), LENGTH_UNITS[self.unit or "mm"], layer, field)
+            out += found
+            notes += told
+        return out, notes
