@@ -48,6 +48,8 @@ FREEST_PLACES: Final = 3
 ROOM_SHARE: Final = 0.5
 """Where no place is free, those free for so many of a few targets at least are looked at again, with more
 samples and on all branches,"""
+ROOM_TARGETS: Final = 60
+"""by so many targets of an operation: with little room a few are not telling,"""
 ROOM_PARENTS: Final = 4
 """the freest so many of them,"""
 ROOM_CHILDREN: Final = 5
@@ -181,7 +183,7 @@ class Search:
 
     @functools.cached_property
     def _many(self) -> list[Few]:
-        return [many_of(c, t, FINE_TARGETS) for c, t in self._each]
+        return [many_of(c, t, ROOM_TARGETS) for c, t in self._each]
 
     def run(self, models: Sequence[CellModel] = ()) -> tuple[list[Place], Trace]:
         """Places in the order in which to try them, and the trace; the list is empty if none is reachable.
@@ -228,7 +230,7 @@ class Search:
                     share = self._share_free(models, self._place(point, least, 0), self._many)
                     every, scores = np.concatenate([every, point[None]]), np.append(scores, least)
                     shares = np.append(shares, share)
-            if not len(every) or (shares == 1.0).any():
+            if not len(every) or (shares == 1.0).sum() >= ROOM_PLACES:
                 break
         first = len(trace.score)
         if not len(every):

@@ -228,6 +228,26 @@ def test_where_no_place_is_free_others_about_the_freest_are_looked_at_closely(
     assert not isinstance(find_path(scene, targets)[1], Blocked)
 
 
+def test_one_place_with_room_does_not_end_the_search(
+    monkeypatch: pytest.MonkeyPatch, targets: Targets
+) -> None:
+    """A place that is free for a look may have no path: there are others to try."""
+    looked: list[Place] = []
+
+    def few_free(self: Search, models: list[CellModel], place: Place, few: list[Few] | None = None) -> float:
+        if few is not None:
+            looked.append(place)
+        return 1.0 if few is not None and len(looked) in (1, 7, 9) else 0.9
+
+    monkeypatch.setattr(Search, "_share_free", few_free)
+    cell = two_arms(1.8)
+    (stand,) = setup_groups(problem(cell, targets, None), [targets])
+    places, _ = Search(cell, block(SIZE, None), [targets], Settings()).run(stand.models())
+    free = [looked[0], looked[6], looked[8]]
+    assert sorted(p.score for p in places) == sorted(p.score for p in free)
+    assert len(looked) == 9
+
+
 @pytest.mark.parametrize(("coarse", "planned"), [(False, [0, 2]), (True, [0, 1])])
 def test_every_other_place_is_looked_at_ahead_and_known_then(
     coarse: bool, planned: list[int], monkeypatch: pytest.MonkeyPatch, targets: Targets
