@@ -4,6 +4,9 @@ A store says its version in ``tandem_schema``; one of before there were versions
 version 1. At start an older store is brought up to date by the steps that it lacks, in the transaction that
 looked, so that all of it happens or nothing; a newer one is refused. Steps are literal SQL that SQLite and
 PostgreSQL both read: they stay as they were when the tables in :mod:`planner.service.models` move on.
+
+What Alembic would add to them are branches, ways back and steps derived from tables, none of which a store
+that only goes forward, in one transaction at start, has a use for.
 """
 
 from __future__ import annotations
