@@ -34,7 +34,7 @@ def thumbnail(report: Path) -> bytes | None:
                 return None
             small = picture.convert("RGBA")
             small.thumbnail(SIZE)
-    except (OSError, ValueError):
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # Pillow's, of what is no PNG
         return None
     stream = io.BytesIO()
     small.quantize(COLOURS, method=Image.Quantize.FASTOCTREE).save(stream, "PNG", optimize=True)

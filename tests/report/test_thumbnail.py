@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import base64
 import io
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from planner.report import thumbnail
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def report_of(picture: bytes) -> str:
@@ -25,6 +30,11 @@ def noise(width: int, height: int) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(pixels, "RGBA").save(stream, "PNG")
     return stream.getvalue()
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    """A chunk of a PNG."""
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
 def test_thumbnails_come_from_reports_and_from_nothing_else(tmp_path: Path) -> None:
@@ -47,5 +57,15 @@ def test_thumbnails_come_from_reports_and_from_nothing_else(tmp_path: Path) -> N
 def test_pictures_that_are_too_large_are_left_out(tmp_path: Path) -> None:
     report, stream = tmp_path / "report.html", io.BytesIO()
     Image.new("1", (10_000, 4_001)).save(stream, "PNG")
-    report.write_text(report_of(stream.getvalue()))
-    assert thumbnail.thumbnail(report) is None
+    huge = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 6, 0, 0, 0)
+    for picture in (stream.getvalue(), SIGNATURE + chunk(b"IHDR", huge) + chunk(b"IDAT", b"")):
+        report.write_text(report_of(picture))
+        assert thumbnail.thumbnail(report) is None
+
+
+@pytest.mark.parametrize("at", [12, 20, 33, 41, 60, -30, -8])
+def test_a_picture_that_is_damaged_is_none_and_ends_nothing(tmp_path: Path, at: int) -> None:
+    report, whole = tmp_path / "report.html", noise(90, 50)
+    for damaged in (whole[:at], whole[:at] + bytes(4) + whole[at:][4:]):
+        report.write_text(report_of(damaged))
+        thumbnail.thumbnail(report)  # what Pillow makes of it
