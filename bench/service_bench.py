@@ -35,8 +35,10 @@ def run() -> list[dict[str, Any]]:
     """Rows of median processor time [s] of a list of a store with 10,000 jobs, and its spread."""
     from fastapi.testclient import TestClient
 
+    from planner.files import THUMBNAIL
     from planner.service.app import create_app
     from planner.service.finding import described
+    from planner.service.models import FILES
     from planner.service.models import JOBS as TABLE
     from planner.service.security import LOCAL
     from planner.service.service import Options, Service
@@ -58,6 +60,8 @@ def run() -> list[dict[str, Any]]:
             )  # fmt: skip
         with service.database.write() as db:
             db.execute(insert(TABLE), rows)
+            named = [(row["id"], name) for row in rows for name in ("report.html", THUMBNAIL)]
+            db.execute(insert(FILES), [{"job": j, "name": n, "sha": "0" * 64, "size": 1} for j, n in named])
         client = TestClient(create_app(service), base_url="http://127.0.0.1")
         out = [_row(client, name, query) for name, query in ASKED.items()]
         service.close()

@@ -30,6 +30,8 @@ STATEMENT, SIGNATURE = "statement.json", "statement.json.sig"
 """What is signed of a result, and its signature."""
 RELEASE = "release.json"
 """What a service says of who released the programs of a result, in its folder or beside the programs."""
+THUMBNAIL = "thumbnail.png"
+"""The small picture of the cell that a service shows in its lists, taken from the report."""
 RESULT = (
     "programs",
     "problem",
@@ -40,6 +42,7 @@ RESULT = (
     "report.html",
     "replay.html",
     "simulated_part.obj",
+    THUMBNAIL,
     RELEASE,
     STATEMENT,
     SIGNATURE,

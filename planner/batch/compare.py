@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from PIL import Image
 
 from planner import plans
 from planner.batch.job import Done, Record
@@ -27,8 +26,9 @@ from planner.batch.run import RECORDS, Row, figures
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate
 from planner.plans import OperationPlan, Plan
-from planner.report import markup, page_sections
+from planner.report import markup
 from planner.report.markup import CSS
+from planner.report.thumbnail import thumbnail
 from planner.verify.result import RuleResult
 
 
@@ -363,12 +363,6 @@ def _harmless(cell: str) -> str:
     return cell
 
 
-THUMBNAIL: Final = (200, 120)
-"""Largest width and height of a thumbnail [pixels]."""
-MAX_REPORT_BYTES: Final = 50_000_000
-"""Bytes of a report beyond which its picture is not looked for."""
-MAX_PIXELS: Final = 40_000_000
-"""Pixels of a picture beyond which no thumbnail is made of it."""
 TAG_OF_STATE: Final = {"verified": "ok", "unproven": "bad", "infeasible": "warning", "bad_input": "warning"}
 """Kind of the tag that shows a state; `bad` for all others."""
 SUMMARY_CSS: Final = (
@@ -407,26 +401,6 @@ def summary_page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> 
         f"<style>{CSS}{SUMMARY_CSS}</style></head>"
         f"<body><main>{inner}</main></body></html>\n"
     )
-
-
-def thumbnail(report: Path) -> bytes | None:
-    """The cell's picture in a report as a small PNG; None where it has none that can be read."""
-    try:
-        if report.stat().st_size > MAX_REPORT_BYTES:
-            return None
-        found = markup.photo(report.read_text("utf-8"), page_sections.CELL)
-        if found is None:
-            return None
-        with Image.open(io.BytesIO(found), formats=["PNG"]) as picture:
-            if picture.width * picture.height > MAX_PIXELS:
-                return None
-            small = picture.convert("RGBA")
-            small.thumbnail(THUMBNAIL)
-    except (OSError, ValueError):
-        return None
-    stream = io.BytesIO()
-    small.save(stream, "PNG", optimize=True)
-    return stream.getvalue()
 
 
 def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, width: int) -> str:

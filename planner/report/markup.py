@@ -23,6 +23,8 @@ from planner.geometry.units import MM
 
 _PNG: Final = "data:image/png;base64,"
 """How the address of a PNG begins that lies in the page itself."""
+CELL: Final = "the cell"
+"""What the picture of a cell is called."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -38,8 +38,6 @@ _IN_TILES: Final = frozenset(
     }
 )
 """Figures of the plan's targets alone: of the whole motion they are in tiles."""
-CELL: Final = "the cell"
-"""What the picture of a cell is called."""
 MOST_FACE_TILES: Final = 4
 """Cut surfaces with a tile of their own, those nearest to their limit first."""
 
@@ -166,7 +164,7 @@ def duration(seconds: float) -> tuple[str, str]:
 def picture(shown: Picture, title: str = "") -> Block:
     """The cell's picture with the names of the arms, and its title where it has one."""
     address = markup.png(shown.pixels, shown.alpha, premultiplied=True)
-    body = markup.Photo(address, CELL, shown.labels)
+    body = markup.Photo(address, markup.CELL, shown.labels)
     return markup.Figure(title, body) if title else body
 
 

@@ -204,6 +204,10 @@ async def save(
         list[Annotated[str, Query(max_length=255)]] | None,
         Query(max_length=64, description="files of before that are no longer part of it"),
     ] = None,
+    title: Annotated[Line | None, Query(description="what it is called from now on")] = None,
+    instead: Annotated[
+        Line | None, Query(description="if it is called so still: what somebody called it otherwise stays")
+    ] = None,
 ) -> DraftOut:
     """The next version: the upload, and files of the last one that are not sent anew. 412 where somebody else
     has saved it since the version that `If-Match` names, so that nothing is overwritten unseen."""
@@ -216,7 +220,9 @@ async def save(
     if of is not None and of != owner:  # whose files the versions of a draft are
         blobs = [upload.problem, *upload.files.values()]
         await anyio.to_thread.run_sync(here.storage.allow_of_other, of, blobs)
-    row = await anyio.to_thread.run_sync(here.drafts.save, found, who, tags, upload, without or ())
+    row = await anyio.to_thread.run_sync(
+        here.drafts.save, found, who, tags, upload, without or (), title, instead
+    )
     return _told(row, response)
 
 

@@ -66,11 +66,19 @@ class Drafts:
             return draft_row(db, draft)
 
     def save(
-        self, draft: str, who: Who, tags: Sequence[str], upload: Upload, without: Sequence[str]
+        self,
+        draft: str,
+        who: Who,
+        tags: Sequence[str],
+        upload: Upload,
+        without: Sequence[str],
+        title: str | None = None,
+        instead: str | None = None,
     ) -> RowMapping:
         """The next version of a draft, for who has the one that is the last: the upload, and files of before
-        that it does not send anew, but ``without`` those. What is there already makes no version. Raises
-        :class:`RefusedError`: 404, 412 where it was saved meanwhile, 413, 422."""
+        that it does not send anew, but ``without`` those. What is there already makes no version. It is
+        called ``title`` then, unless it has another title by now than the one ``instead`` of which that is.
+        Raises :class:`RefusedError`: 404, 412 where it was saved meanwhile, 413, 422."""
         _check_size(upload)
         with self._database.write() as db:
             self._database.one_at_a_time(db, draft)
@@ -93,12 +101,14 @@ class Drafts:
                 values = {"version": number, "changed": self._database.clock()}
                 db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(**values))
                 _forget(db, draft, number - VERSIONS)
+            if title is not None:
+                _call(db, draft, title, instead)
             return draft_row(db, draft)
 
     def rename(self, draft: str, title: str) -> RowMapping:
         """Call it otherwise; raises :class:`RefusedError`, 404."""
         with self._database.write() as db:
-            db.execute(update(DRAFTS).where(DRAFTS.c.id == draft).values(title=title or UNTITLED))
+            _call(db, draft, title)
             return draft_row(db, draft)
 
     def mark_sent(self, draft: str, number: int, job: str) -> RowMapping:
@@ -236,6 +246,12 @@ def _remove(db: Connection, draft: str) -> None:
     db.execute(delete(DRAFT_VERSIONS).where(DRAFT_VERSIONS.c.draft == draft))
     db.execute(delete(FILES).where(FILES.c.job == draft))
     db.execute(delete(DRAFTS).where(DRAFTS.c.id == draft))
+
+
+def _call(db: Connection, draft: str, title: str, instead: str | None = None) -> None:
+    """Give a draft a title; ``instead`` of that one alone, where it is stated."""
+    named = DRAFTS.c.id == draft if instead is None else and_(DRAFTS.c.id == draft, DRAFTS.c.title == instead)
+    db.execute(update(DRAFTS).where(named).values(title=title or UNTITLED))
 
 
 def _with_names() -> Any:

@@ -22,6 +22,7 @@ from sqlalchemy import (
     Select,
     and_,
     delete,
+    exists,
     func,
     insert,
     not_,
@@ -33,6 +34,7 @@ from sqlalchemy import (
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from planner.files import THUMBNAIL
 from planner.issues import Issue
 from planner.service import audit, finding, idempotency, metrics, webhooks
 from planner.service.finding import Wanted
@@ -482,6 +484,7 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         notes=row["notes"],
         released=row["release_who"] is not None and row["release_withdrawn"] is None,
         release=_release(row),
+        thumbnail=bool(row["thumbnail"]),
     )
 
 
@@ -500,12 +503,16 @@ LAST_RELEASE: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOB
 """The last release of a job."""
 _RELEASE: Final = ("who", "at", "note", "withdrawn", "withdrawn_who", "reason")
 """What is told of it with its job."""
+_PICTURED: Final = (
+    exists().where(FILES.c.job == JOBS.c.id, FILES.c.name == THUMBNAIL).correlate(JOBS).label("thumbnail")
+)
+"""Whether a job has a picture for lists."""
 
 
 def jobs_to_send() -> Select[Any]:
     """Jobs as the store has them, with what else :func:`job_out` tells."""
     more = [TOKENS.c.name.label("made_by"), *(RELEASES.c[name].label(f"release_{name}") for name in _RELEASE)]
-    with_names = select(JOBS, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
+    with_names = select(JOBS, _PICTURED, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
     return with_names.outerjoin(RELEASES, LAST_RELEASE)
 
 

@@ -430,6 +430,7 @@ UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/Probl
 TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".json": "application/json",
+    ".png": "image/png",
     ".obj": "model/obj",
     ".npz": "application/octet-stream",
     ".yaml": "application/yaml",

@@ -23,7 +23,9 @@ from sqlalchemy import ColumnElement, Connection, Select, and_, case, delete, fu
 from sqlalchemy.exc import SQLAlchemyError
 
 from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
+from planner.files import THUMBNAIL
 from planner.issues import Issue, TandemError
+from planner.report.thumbnail import thumbnail
 from planner.service import audit, idempotency, metrics, webhooks
 from planner.service.jobs import (
     STORE,
@@ -485,7 +487,7 @@ class Runner(threading.Thread):
                     self._room_at = time.monotonic() + ROOM_S
                     self._work.give_back(claimed)
                     break
-                stored, told = self._stored(folder / "result"), self._told(done.issues)
+                stored, told = self._stored(folder / "result", done.state), self._told(done.issues)
                 kept = self._work.finish(claimed, done.state, told, done.metrics, done.seconds, stored)
                 if not kept:
                     what = "job %s was taken over; what was planned here is dropped"
@@ -532,7 +534,10 @@ class Runner(threading.Thread):
         free = shutil.disk_usage(self._scratch).free
         return free >= ROOM_MB * MB and time.monotonic() >= self._room_at
 
-    def _stored(self, result: Path) -> dict[str, Blob]:
+    def _stored(self, result: Path, state: State) -> dict[str, Blob]:
+        small = thumbnail(result / "report.html") if state == "verified" else None
+        if small is not None:  # lists show the outcome of the others alone
+            (result / THUMBNAIL).write_bytes(small)
         paths = sorted(path for path in result.rglob("*") if path.is_file() and not path.is_symlink())
         return {path.relative_to(result).as_posix(): self._files.put_file(path) for path in paths}
 

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 from planner import pipeline, spec
 from planner.batch import compare
@@ -355,23 +354,6 @@ def test_tables_hold_what_people_wrote_as_text(tmp_path: Path) -> None:
     assert "@cmd" in page
     assert "<b> " not in page
     assert page.endswith("</html>\n")
-
-
-def test_thumbnails_come_from_reports_and_from_nothing_else(tmp_path: Path) -> None:
-    stream = io.BytesIO()
-    Image.new("RGBA", (900, 300), (255, 0, 0, 255)).save(stream, "PNG")
-    import base64
-
-    address = f"data:image/png;base64,{base64.b64encode(stream.getvalue()).decode()}"
-    report = tmp_path / "report.html"
-    report.write_text(f'<img alt="the cell" src="{address}">')
-    small = compare.thumbnail(report)
-    assert small is not None
-    with Image.open(io.BytesIO(small)) as picture:
-        assert picture.size == (200, 67)
-    report.write_text('<img alt="the cell" src="data:image/png;base64,AAAA">')
-    assert compare.thumbnail(report) is None
-    assert compare.thumbnail(tmp_path / "none.html") is None
 
 
 def test_records_that_are_none_are_not_believed(tmp_path: Path) -> None:

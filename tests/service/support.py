@@ -22,7 +22,7 @@ from typing import Any
 from fastapi.testclient import TestClient
 from sqlalchemy import select
 
-from planner.batch.job import Done, Event, Finished, Found, Job, Progress
+from planner.batch.job import Done, Event, Finished, Found, Job, Progress, State
 from planner.issues import Issue, Severity
 from planner.service import service as service_module
 from planner.service.app import create_app
@@ -40,6 +40,9 @@ NOTE = Issue("problem.field", "a note of the pretended plan", Severity.NOTE)
 
 class Team:
     """Ends each job at once with a small result, or holds all while ``hold`` is set."""
+
+    report = "<script>1</script>"
+    state: State = "verified"
 
     def __init__(self) -> None:
         self.digest: Callable[[str], str] = lambda name: ""  # of the problem of a job, by the job's name here
@@ -70,9 +73,9 @@ class Team:
                 named = {"main.mod": hashlib.sha256(b"MODULE main").hexdigest()}
                 proof = {"ok": True, "problem_digest": self.digest(name), "programs": named}
                 (folder / "proof.json").write_text(json.dumps(proof))
-                (folder / "report.html").write_text("<script>1</script>")
+                (folder / "report.html").write_text(self.report)
                 (folder / "plan.json").write_text("{}")
-                self._events.append(Finished(name, Done(name, "verified", (NOTE,), {"cycle_s": 1.0}, 0.1)))
+                self._events.append(Finished(name, Done(name, self.state, (NOTE,), {"cycle_s": 1.0}, 0.1)))
             self._open.clear()
         if not self._events:
             time.sleep(min(timeout_s, 0.02))

@@ -98,6 +98,21 @@ def test_who_saves_over_another_is_told_and_nothing_is_lost(shop: Shop) -> None:
     assert save(shop, draft, '"1", "2"', "mine").json()["version"] == 3
 
 
+def test_a_title_is_changed_with_the_content_unless_somebody_gave_another(shop: Shop) -> None:
+    draft = kept(shop)
+    first = save(shop, draft, '"1"', '{"name": "a"}', title="a", instead="Vault").json()
+    assert (first["title"], first["version"]) == ("a", 2)
+    shop.ask("bob", "PATCH", f"/v1/drafts/{draft}", json={"title": "Gewölbe 3"})
+    kept_on = save(shop, draft, '"2"', '{"name": "b"}', title="b", instead="a").json()
+    assert (kept_on["title"], kept_on["version"]) == ("Gewölbe 3", 3)
+    assert save(shop, draft, '"2"', "{}", title="c").status_code == 412
+    assert shop.ask("ann", "GET", f"/v1/drafts/{draft}").json()["title"] == "Gewölbe 3"
+    assert save(shop, draft, '"3"', "{}").json()["title"] == "Gewölbe 3"
+    assert save(shop, draft, '"4"', "{}", title="").json()["title"] == "Draft"
+    odd = save(shop, draft, '"4"', "{}", title="a\u202eb")
+    assert (odd.status_code, codes(odd)) == (422, [("service.request", "title")])
+
+
 def test_of_many_who_save_the_same_version_at_once_one_does(shop: Shop) -> None:
     draft = kept(shop)
     with ThreadPoolExecutor(6) as pool:

@@ -134,6 +134,7 @@ def shown(page: Page, name: str, address: str) -> None:
             page.get_by_role("tab", name=tab).click()
     elif kind == "jobs":
         expect(page.locator("#rows tr")).not_to_have_count(0)
+        expect(page.locator("#rows img.thumb").first).to_have_js_property("complete", True)
     elif name == "element":
         expect(page.locator(".panel").first).to_be_visible()
     elif name == "compare":

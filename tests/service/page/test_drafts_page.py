@@ -73,7 +73,7 @@ def test_what_is_edited_is_kept_and_opened_on_another_machine(
     other = browser.new_context().new_page()
     other.set_default_timeout(90_000)
     other.goto(f"{server}/ui/drafts")
-    other.get_by_role("link", name="first").first.click()
+    other.locator(f"#rows a[href$='{draft}']").click()
     expect(other.locator("#f-name")).to_have_value("engrave")
     assert draft_of(other) == draft
     other.get_by_role("button", name="History").click()
@@ -102,6 +102,24 @@ def test_a_name_that_no_title_may_have_is_kept_all_the_same(page: Page, server: 
     kept = asked(server, f"/v1/drafts/{draft_of(page)}")
     assert kept["title"] == "ab Gewölbe " + "\U0001f3db" * 189
     assert asked(server, f"/v1/drafts/{kept['id']}/versions/1/problem")["name"].startswith("a\u202eb\u0007")
+
+
+def test_a_title_goes_with_the_name_until_somebody_gives_another(page: Page, server: str) -> None:
+    begun(page, server)
+    called(page, "wing_1")
+    draft = draft_of(page)
+    called(page, "wing_2")
+    settled(page, server, "wing_2")
+    assert asked(server, f"/v1/drafts/{draft}")["title"] == "wing_2"
+    page.reload()  # it is known of a draft that is opened, too
+    called(page, "wing_3")
+    settled(page, server, "wing_3")
+    expect(page.locator("#draft-state")).to_contain_text("Kept as the draft wing_3, version")
+    asked(server, f"/v1/drafts/{draft}", "PATCH", {"title": "Flügel"})  # while it is open
+    called(page, "wing_4")
+    settled(page, server, "wing_4")
+    expect(page.locator("#draft-state")).to_contain_text("Kept as the draft Flügel, version")
+    assert asked(server, f"/v1/drafts/{draft}")["title"] == "Flügel"
 
 
 def test_a_draft_that_was_sent_is_no_unsent_work(page: Page, server: str) -> None:

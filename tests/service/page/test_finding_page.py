@@ -9,10 +9,12 @@ import pytest
 from playwright.sync_api import Page, expect
 from sqlalchemy import update
 
-from planner.service.jobs import Jobs, NewJob
+from planner.files import THUMBNAIL
+from planner.service.jobs import Jobs, NewJob, put_files
 from planner.service.models import JOBS, Database, default_url
 from planner.service.security import LOCAL, Limits
 from planner.service.storage import Files
+from tests.report.test_thumbnail import noise
 from tests.service.page.test_access import CUT_OFF, NAMELESS
 from tests.service.support import Process
 
@@ -24,6 +26,10 @@ CALLED = {
     "plain": ("", [], ""),
 }
 """Title, tags and notes of a job by its name."""
+
+
+DRAWN = {"panel_03": noise(200, 111), "W" * 24: noise(200, 111), "panel_04": b"no picture"}
+"""What their pictures are."""
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +46,10 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dict[s
         with database.write() as db:
             db.execute(update(JOBS).where(JOBS.c.id == ids[name]).values(state="infeasible"))
         jobs.describe(ids[name], {"title": title, "tags": tags, "notes": notes})
+    for name, content in DRAWN.items():
+        drawn = Files(data / "files").put(io.BytesIO(content))
+        with database.write() as db:
+            put_files(db, ids[name], {THUMBNAIL: drawn})
     database.close()
     process = Process(data).wait()
     yield process.url, ids
@@ -78,6 +88,29 @@ def test_long_titles_are_not_cut_off(page: Page, shop: tuple[str, dict[str, str]
         page.goto(f"{url}{path}")
         expect(page.get_by_text("W" * 200)).to_be_visible()
         assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], []), path
+
+
+def test_each_job_has_a_picture_or_the_sign_of_its_process(
+    page: Page, shop: tuple[str, dict[str, str]]
+) -> None:
+    url, ids = shop
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(url)
+    expect(page.locator(".job-name")).to_have_count(len(CALLED))
+    picture = page.get_by_role("img", name="The cell of Gewölbe 3 – Ostseite")
+    expect(picture).to_have_attribute("loading", "lazy")
+    expect(picture).to_have_js_property("naturalWidth", 200)
+    signs = page.get_by_role("img", name="Given poses, no picture")
+    expect(signs).to_have_count(3)  # that of a picture which is none is one of them
+    path = f"{url}/v1/jobs/{{}}/files/{THUMBNAIL}"
+    assert {one for one in asked if THUMBNAIL in one} == {path.format(ids[name]) for name in DRAWN}
+    asked.clear()
+    change = "(path) => fetch(path, { method: 'PATCH', body: JSON.stringify({ tags: ['fresh'] }) })"
+    page.evaluate(change, f"/v1/jobs/{ids['plain']}")
+    expect(page.get_by_role("button", name="fresh")).to_be_visible()  # all rows were drawn anew
+    expect(picture).to_have_js_property("naturalWidth", 200)
+    assert path.format(ids["panel_03"]) not in asked
 
 
 def test_a_title_is_given_on_the_page(page: Page, shop: tuple[str, dict[str, str]]) -> None:

@@ -18,6 +18,9 @@ export function titleOf(name) {
   return [...plain.trim()].slice(0, 200).join("");
 }
 
+// What a draft is called that nobody has named by hand (planner/service/drafts.py, UNTITLED).
+const calledBy = (problem) => titleOf(String(problem.name ?? "")) || "Draft";
+
 // Whether a draft is as it was when it was sent.
 export const wasSent = (about) => about.sent === about.version;
 
@@ -68,12 +71,18 @@ export class Draft {
   // A new start: what was the draft stays what it is; this one is made with the first change.
   begin(about = null) {
     Object.assign(this, { id: about?.id ?? null, tag: about && `"${about.version}"`, sent: new Map(about ? this.state.files : []), past: [], future: [], dirty: false, at: 0 });
+    this.follow(about?.title, !about || about.title === calledBy(this.state.problem));
     this.now = this.snapshot();
     this.wait(false);
     show($("draft-bar"), Boolean(Object.keys(this.state.problem).length));
     if (about && wasSent(about)) this.say(`The draft ${about.title} was sent; changes go on from there. `, about.job && h("a", { href: `/ui/jobs/${about.job}` }, "Its job"));
     else this.say(about ? `Kept as the draft ${about.title}` : "");
     this.buttons();
+  }
+
+  // Its title, and whether that goes with the name of the problem: until somebody calls it otherwise.
+  follow(title, follows) {
+    Object.assign(this, { title, follows });
   }
 
   snapshot() {
@@ -151,17 +160,21 @@ export class Draft {
     const news = [...files].filter(([name, file]) => this.sent.get(name) !== file);
     try {
       const content = new Blob([body], { type: "application/json" });
-      const name = String(JSON.parse(body).name ?? "");
+      const problem = JSON.parse(body);
+      const name = String(problem.name ?? "");
       const title = titleOf(name);
-      const without = new URLSearchParams([...this.sent.keys()].filter((name) => !files.has(name)).map((name) => ["without", name]));
+      const made = !this.id;
+      const given = new URLSearchParams([...this.sent.keys()].filter((name) => !files.has(name)).map((name) => ["without", name]));
+      if (this.follows && this.title !== calledBy(problem)) for (const one of [["title", title], ["instead", this.title]]) given.append(...one);
       const answer = this.id
-        ? await put(`${pathOf(this.id)}?${without}`, { body: upload(content, news), headers: { "If-Match": this.tag } })
+        ? await put(`${pathOf(this.id)}?${given}`, { body: upload(content, news), headers: { "If-Match": this.tag } })
         : await post(`${drafts}?${new URLSearchParams({ title })}`, { body: upload(content, news) });
       const about = await answer.json();
       if (own !== this.past) return;
       Object.assign(this, { id: about.id, tag: `"${about.version}"`, sent: files });
+      this.follow(about.title, (made || this.follows) && about.title === calledBy(problem));
       history.replaceState(null, "", `/ui/new?draft=${about.id}${location.hash}`);
-      const other = about.version === 1 && title !== name.normalize("NFC").trim() ? "; what no title may have of the name is left out of it" : "";
+      const other = this.follows && title !== name.normalize("NFC").trim() ? "; what no title may have of the name is left out of it" : "";
       this.say(`Kept as the draft ${about.title}, version ${about.version}${other}`);
       this.buttons();
     } catch (error) {
@@ -191,6 +204,7 @@ export class Draft {
     this.tag = `"${found.about.version}"`;
     this.wait(false);
     const text = JSON.stringify(found.problem);
+    this.follow(found.about.title, number === null ? found.about.title === calledBy(found.problem) : this.follows && found.about.title === this.title);
     if (number === null) this.sent = found.files;
     this.past.push(this.now);
     this.future = [];

@@ -4,6 +4,7 @@ import { ask } from "./ask.js";
 import { age, banner, me, reached, ready, tell } from "./common.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { badge } from "./outcome.js";
+import { thumbnail } from "./thumbnail.js";
 import { AGAIN, ago, bytes, duration, isOpen, number, processName } from "./words.js";
 
 const GROUPS = [
@@ -24,6 +25,7 @@ let turn = 0; // of what was asked last; answers to former questions are dropped
 let jobs = new Map();
 let next = null;
 const marked = [];
+const pictures = new Map();
 let own; // jobs of others say whose they are
 
 function query(cursor) {
@@ -73,7 +75,7 @@ function row(one) {
     "tr",
     {},
     h("td", {}, box),
-    h("td", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))),
+    h("td", {}, h("div", { class: "pictured" }, picture(one), h("div", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))))),
     h("td", {}, badge(one.state), AGAIN.includes(one.state) ? h("button", { type: "button", class: "small plans", data: { key: `again-${one.id}` }, "aria-label": `Try ${one.title || one.name} again`, onclick: () => act(one, "retry", "waits again") }, "Try again") : null, h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : one.state === "queued" ? place(one) : [one.released && "released", count].filter(Boolean).join(", "))),
     h("td", { class: "wide" }, one.processes.map(processName).join(", ")),
     h("td", { class: "n" }, figure("cycle_s", duration)),
@@ -81,6 +83,16 @@ function row(one) {
     h("td", { class: "n wider" }, one.seconds ? duration(one.seconds) : ""),
     h("td", {}, age(one.created)),
   );
+}
+
+// The one that was drawn before, where it shows the same: so it is not fetched anew with each look at the list.
+function picture(one) {
+  const shows = JSON.stringify([one.thumbnail, one.title || one.name, one.processes]);
+  const drawn = pictures.get(one.id);
+  if (drawn?.shows === shows && drawn.element.isConnected) return drawn.element;
+  const element = thumbnail(one);
+  pictures.set(one.id, { shows, element });
+  return element;
 }
 
 // Where it stands among all that wait, and the way to the front of one's own.
