@@ -466,7 +466,7 @@ MILLING: Final = (
         },
     ),
     Fault(
-        "engrave_mirrored", "engrave", {"milling.point_cut:_curve": result(lambda p: p * [1.0, -1.0, 1.0])}
+        "engrave_mirrored", "engrave", {"milling.point_cut:_along": result(lambda p: p * [1.0, -1.0, 1.0])}
     ),
     Fault(
         "engrave_depth_up",

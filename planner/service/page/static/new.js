@@ -30,6 +30,7 @@ let drawSweep = null;
 let examples = {};
 let cells = {};
 let checking = null;
+let outdone = null; // the check while which something that was sent was refused: it tells nothing over that
 let cell = null;
 let choices = 0;
 let partTitle = "Part";
@@ -58,7 +59,7 @@ async function begin() {
     $("go").disabled = true;
     check();
   });
-  drawSweep = setUpSweep(state, () => wanted(state), draft, (error) => (error instanceof Refused ? tellIssues(error.issues, false) : tell(error)));
+  drawSweep = setUpSweep(state, () => wanted(state), draft, (error) => (error instanceof Refused ? tellRefused(error.issues) : tell(error)));
   keeping = new Keeping(state, putIn);
   await patiently(() => keeping.load());
   $("kept").addEventListener("change", chooseKept);
@@ -259,26 +260,28 @@ function present(bodies, box, note, stock = null) {
 async function check() {
   checking?.abort();
   const own = (checking = new AbortController());
-  say("busy", "Checking …");
+  const going = (text) => own === outdone || say("busy", text);
+  const found = (...given) => own === outdone || tellIssues(...given);
+  going("Checking …");
   const drawn = await drawMesh();
   if (own.signal.aborted) return;
   try {
-    const found = await (await post("/ui/preview", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
-    const box = found.summary.part_mm ?? null;
-    present(found.shapes, box ?? found.summary.stock_mm, "", found.summary.stock_mm);
+    const read = await (await post("/ui/preview", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
+    const box = read.summary.part_mm ?? null;
+    present(read.shapes, box ?? read.summary.stock_mm, "", read.summary.stock_mm);
     Object.assign(seen, { signal: own.signal, looked: false });
     cell?.draw(own.signal);
     if ($("banner").classList.contains("warn") && !goneRobots(state.problem, catalogue)) banner(""); // an error stays until something is done about it
-    if (errors(found.issues).length) return tellIssues(found.issues, true);
-    say("busy", "Nothing is wrong with the file. Looking at the reach and the clearance of some targets …");
+    if (errors(read.issues).length) return found(read.issues, true);
+    going("Nothing is wrong with the file. Looking at the reach and the clearance of some targets …");
     const some = await (await post(`/v1/check?targets=${FIRST_TARGETS}`, { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
-    if (errors(some.issues).length) tellIssues(some.issues, true, some.looked_at);
+    if (errors(some.issues).length) found(some.issues, true, some.looked_at);
     if (!some.looked_at) return; // there are no targets
     seen.looked = true;
     cell?.look(own.signal);
-    if (!errors(some.issues).length) say("busy", `${some.looked_at.placed ? `Looked at ${share(some.looked_at)} targets: no fault so far` : "None of the first places of the block will do: more are tried"}. Testing the part, the tools and the reach of every target …`);
+    if (!errors(some.issues).length) going(`${some.looked_at.placed ? `Looked at ${share(some.looked_at)} targets: no fault so far` : "None of the first places of the block will do: more are tried"}. Testing the part, the tools and the reach of every target …`);
     const whole = await (await post("/v1/check?reach=true", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
-    tellIssues(whole.issues, true);
+    found(whole.issues, true);
   } catch (error) {
     if (error.name === "AbortError") return;
     if (!(error instanceof Refused)) {
@@ -288,7 +291,7 @@ async function check() {
     }
     if (!drawn) present([], null, "");
     if (viewer.works) $("view-empty").textContent = "Nothing can be drawn before what is named below is corrected.";
-    tellIssues(error.issues, false);
+    found(error.issues, false);
   }
 }
 
@@ -330,6 +333,12 @@ function say(kind, text) {
 }
 
 const share = ({ targets, of }) => `${number(targets)} of ${number(of)}`;
+
+// What was sent is refused: the check that is under way beside it tells nothing over that.
+function tellRefused(issues) {
+  outdone = checking;
+  tellIssues(issues, false);
+}
 
 // looked: {targets, of} where only so many were looked at; then nothing is ready yet, whatever was found
 function tellIssues(issues, readable, looked = null) {
@@ -418,7 +427,7 @@ async function start() {
     state.sent = true;
     location.assign(`/ui/jobs/${made.id}`);
   } catch (error) {
-    if (error instanceof Refused && error.status === 422) tellIssues(error.issues, false);
+    if (error instanceof Refused && error.status === 422) tellRefused(error.issues);
     else {
       check(); // so that it can be sent again
       tell(error);
