@@ -253,10 +253,11 @@ def test_more_triangles_than_are_drawn_are_refused(here: InProcess) -> None:
 
 def test_a_cell_is_packed_in_the_turn_of_who_asks(here: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
     turns = []
-    packed = answers.packed
+    packed, readers = answers.packed, here.service._readers
+    free = readers.value
 
     def seen(*given: Any) -> Any:
-        turns.append(here.service._readers.borrowed_tokens)
+        turns.append(free - readers.value)
         return packed(*given)
 
     monkeypatch.setattr(routes, "packed", seen)
