@@ -10,11 +10,16 @@ from typing import Any
 
 import numpy as np
 import yaml
+from scipy.spatial.transform import Rotation
 
 import planner
 from planner.cell import plant
-from planner.geometry.arrays import to_quaternion
+from planner.cell.kinematics import forward
+from planner.geometry.arrays import FloatArray, inverse, to_quaternion
 from planner.pipeline import Outcome
+from planner.verify.context import Context
+from planner.verify.prove import Prover
+from planner.verify.rules import external_axes
 from tests import table_job
 from tests.track_job import COLUMNS
 
@@ -121,6 +126,29 @@ def planned_krl(robot: str = "kr6_r900", **controller: str) -> Outcome:
     folder.mkdir()
     arms = ({**KUKA, "robot": robot},)
     return planner.plan(problem(folder, KRL_POSITIONER, arms=arms, controller=controller))
+
+
+def require_text_is_planned(out: Outcome, prover: Prover, turn: float, lean: FloatArray, off: float) -> None:
+    """The text alone has the block, at the second station, where scipy's turns have it: by ``turn`` [deg]
+    about the plate's middle, then by ``lean`` (3,) [rad] about the tilt axis, which passes 30 mm below it,
+    ``off`` [m] at most; and the tool within a micrometre of the plan in both operations."""
+    context = external_axes.standing(Context(prover.problem, prover.claims, out.programs))
+    place, stated = context.places[1], prover.problem.stock.place
+    assert place is not None and stated is not None
+    about = Rotation.from_euler("z", turn, degrees=True).as_matrix()
+    over = Rotation.from_rotvec(lean).as_matrix()
+    middle, below = np.array([0.9, 0.0, 0.5]), np.array([0.9, 0.0, 0.47])
+    turned = middle + about @ (stated[:3, 3] - middle)
+    np.testing.assert_allclose(place[:3, :3], over @ about @ stated[:3, :3], atol=5e-8)
+    np.testing.assert_allclose(place[:3, 3], below + over @ (turned - below), atol=off)
+    for index, setup in enumerate(out.problem.setups):
+        made, planned_arm = out.plan.operations[index], setup.cell.arm("left")
+        tcp = planned_arm.base @ forward(planned_arm.data, made.q["left"]) @ planned_arm.tool.tcp
+        seen = (inverse(np.asarray(context.places[index])) @ tcp)[:, :3, 3]
+        assert np.linalg.norm(seen - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
+        nodes = context.spans.of_stage[context.motion.node_stage] == index
+        text = context.motion.node_tcp["left"][nodes][:, :3, 3]
+        assert np.linalg.norm(text[:, None] - tcp[1:, :3, 3], axis=2).min(axis=0).max() < 1e-6
 
 
 def model() -> plant.CellModel:

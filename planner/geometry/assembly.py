@@ -401,7 +401,7 @@ class _Site:
         below = -self.up[None]
         ways = [middle_way(np.concatenate([sides, below]))[0]] if len(sides) else [normal]
         if len(sides) and self.square is not None:
-            ways = [*self._square_ways(k, standing, ways[0], self.square), *ways]
+            ways = [*self._square_ways(k, standing, sides, ways[0], self.square), *ways]
         ways += [middle_way(sides)[0]] if len(sides) else []
         ways += [normal, -normal, self.up]
         if self.opens(k, standing):
@@ -412,22 +412,17 @@ class _Site:
         return ways
 
     def _square_ways(
-        self, k: int, standing: set[int], middle: FloatArray, square: float
+        self, k: int, standing: set[int], sides: FloatArray, middle: FloatArray, square: float
     ) -> Sequence[FloatArray]:
-        """Ways out of a body, clear of its sides, that are at most ``square`` [rad] off square to those of
-        one neighbour or more, of most neighbours first, then the farthest from all sides."""
-        slab, sides = self.slabs[k], self.sides(k, standing)
-        near = [b for b in self.near[k] if b in standing]
-        outs = np.array([-unit(slab.normals[slab.beyond == b].mean(axis=(0, 1))) for b in near]).reshape(
-            -1, 3
-        )
-        some = [
-            outs[list(c)].sum(axis=0) for n in (1, 2, 3) for c in itertools.combinations(range(len(outs)), n)
-        ]
-        aims = np.array([aim for aim in some if lengths(aim[None])[0] > _TIGHT]).reshape(-1, 3)
+        """Ways out of a body, clear of its ``sides`` (K, 3), that are at most ``square`` [rad] off square to
+        those of one neighbour or more, of most neighbours first, then the farthest from all sides."""
+        slab, near = self.slabs[k], [b for b in self.near[k] if b in standing]
+        outs = [-unit(slab.normals[slab.beyond == b].mean(axis=(0, 1))) for b in near]
+        some = [np.sum(c, axis=0) for n in (1, 2, 3) for c in itertools.combinations(outs, n)]
+        aims = np.array([aim for aim in some if lengths(aim) > _TIGHT]).reshape(-1, 3)
         ways = np.concatenate([unit(unit(aims) + share * middle) for share in TOWARDS])
         margin = -(ways @ sides.T).max(axis=1)
-        count = (ways @ outs.T >= np.cos(square)).sum(axis=1)
+        count = (ways @ np.array(outs).reshape(-1, 3).T >= np.cos(square)).sum(axis=1)
         keep = np.flatnonzero((margin >= -self.slack[k]) & (count > 0))
         order = np.lexsort((-np.round(margin[keep], 9), -count[keep]))
         return list(ways[keep[order]][:FEW])

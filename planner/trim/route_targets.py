@@ -15,7 +15,6 @@ from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
 from planner.targets import Action, Rounding, ScrewFreedom, Targets
-from planner.tooling import Torch
 from planner.trim.claims import told
 from planner.trim.cutting import Cutting, Trimmer
 from planner.trim.operation import KnifeCut, MillCut, Trim
@@ -47,7 +46,7 @@ def targets_of(
     sheet: dict[str, Any],
 ) -> Targets:
     arm, count = op.arms[0], len(route.segment)
-    actions = _actions(op, setup, mounted_tool, route)
+    actions = _actions(op, setup, mounted_tool, tool, route)
     stop = route.stop.copy()
     stop[[action.at for action in actions]] = True
     return Targets(
@@ -123,9 +122,11 @@ def _travel(route: Route, tool: Cutting) -> FloatArray:
     return out
 
 
-def _actions(op: Trim, setup: Setup, torch: Trimmer, route: Route) -> tuple[Action, ...]:
+def _actions(
+    op: Trim, setup: Setup, mounted_tool: Trimmer, tool: Cutting, route: Route
+) -> tuple[Action, ...]:
     """What the operator is told and asked, and the arc, or the spindle."""
-    last, figures = len(route.segment) - 1, told(op, setup, torch)
+    last, figures = len(route.segment) - 1, told(op, setup, mounted_tool)
     if isinstance(op.by, MillCut):
         tell = Action(0, "message", vocabulary.TRIM_MILL.filled(**figures))
         ask = Action(0, "confirm", vocabulary.TRIM_MILL_READY.filled())
@@ -141,7 +142,7 @@ def _actions(op: Trim, setup: Setup, torch: Trimmer, route: Route) -> tuple[Acti
         Action(0, "message", vocabulary.TORCH_STOPPED.filled()),
         Action(0, "confirm", vocabulary.TORCH_READY.filled()),
     ]
-    stay = stands(op, torch.kerf if isinstance(torch, Torch) else 0.0)
+    stay = stands(op, tool.kerf)
     for first, end in zip(route.pierce, route.end, strict=True):
         out.append(Action(first, "on", signal=op.signal or "", stands=stay))
         if op.ok_signal is not None:

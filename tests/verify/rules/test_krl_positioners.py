@@ -12,12 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner import processes
-from planner.cell.kinematics import forward
-from planner.geometry.arrays import inverse
 from planner.report import scene, setup_sheet
 from planner.verify.context import Context
 from planner.verify.prove import Prover
-from planner.verify.rules import external_axes
 from tests import positioner_job
 from tests.verify.rules.test_krl_external_axes import LOOK, broken, changed, first, prover_of, refused
 
@@ -42,24 +39,9 @@ def test_the_text_has_the_block_within_a_micrometre_of_the_plan(prover: Prover) 
     np.testing.assert_allclose(
         np.rad2deg([stands["stock"], stands["stock/tilt"]]), [float(TURN), float(TILT)]
     )
-    context = external_axes.standing(Context(prover.problem, prover.claims, out.programs))
-    place, stated = context.places[1], prover.problem.stock.place
-    assert place is not None and stated is not None
-    # scipy's turns: about the plate's middle, then about the tilt axis, along -y, which passes 30 mm below it
-    turn = Rotation.from_euler("z", float(TURN), degrees=True).as_matrix()
-    lean = Rotation.from_rotvec([0.0, -np.deg2rad(float(TILT)), 0.0]).as_matrix()
-    middle, below = np.array([0.9, 0.0, 0.5]), np.array([0.9, 0.0, 0.47])
-    turned = middle + turn @ (stated[:3, 3] - middle)
-    np.testing.assert_allclose(place[:3, :3], lean @ turn @ stated[:3, :3], atol=5e-8)
-    np.testing.assert_allclose(place[:3, 3], below + lean @ (turned - below), atol=2e-7)
-    for index, setup in enumerate(out.problem.setups):
-        made, planned = out.plan.operations[index], setup.cell.arm("left")
-        tcp = planned.base @ forward(planned.data, made.q["left"]) @ planned.tool.tcp
-        seen = (inverse(np.asarray(context.places[index])) @ tcp)[:, :3, 3]
-        assert np.linalg.norm(seen - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
-        nodes = context.spans.of_stage[context.motion.node_stage] == index
-        text = context.motion.node_tcp["left"][nodes][:, :3, 3]
-        assert np.linalg.norm(text[:, None] - tcp[1:, :3, 3], axis=2).min(axis=0).max() < 1e-6
+    positioner_job.require_text_is_planned(
+        out, prover, float(TURN), np.deg2rad([0.0, -float(TILT), 0.0]), 2e-7
+    )
 
 
 def test_both_axes_take_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:

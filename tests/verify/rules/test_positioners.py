@@ -9,16 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from planner import processes
 from planner.cell import axis_way
-from planner.cell.kinematics import forward
-from planner.geometry.arrays import inverse
 from planner.problem import Cell, Obstacle, RotaryAxis, Turntable
-from planner.verify.context import Context
 from planner.verify.prove import Prover
-from planner.verify.rules import external_axes
 from tests import positioner_job
 from tests.verify.rules.test_turntables import broken, first
 
@@ -44,24 +39,9 @@ def test_where_the_block_is_follows_from_the_text_within_a_micrometre(prover: Pr
     np.testing.assert_allclose(
         np.rad2deg([stands["stock/tilt"], stands["stock"]]), [float(TILT), float(TURN)]
     )
-    context = external_axes.standing(Context(prover.problem, prover.claims, out.programs))
-    place, stated = context.places[1], prover.problem.stock.place
-    assert place is not None and stated is not None
-    # scipy's turns: about the plate's middle, then about the tilt axis, which passes 30 mm below it
-    turn = Rotation.from_euler("z", float(TURN), degrees=True).as_matrix()
-    lean = Rotation.from_euler("y", float(TILT), degrees=True).as_matrix()
-    middle, below = np.array([0.9, 0.0, 0.5]), np.array([0.9, 0.0, 0.47])
-    turned = middle + turn @ (stated[:3, 3] - middle)
-    np.testing.assert_allclose(place[:3, :3], lean @ turn @ stated[:3, :3], atol=5e-8)
-    np.testing.assert_allclose(place[:3, 3], below + lean @ (turned - below), atol=1e-7)
-    for index, setup in enumerate(out.problem.setups):
-        made, planned = out.plan.operations[index], setup.cell.arm("left")
-        tcp = planned.base @ forward(planned.data, made.q["left"]) @ planned.tool.tcp
-        seen = (inverse(np.asarray(context.places[index])) @ tcp)[:, :3, 3]
-        assert np.linalg.norm(seen - made.targets.pose["left"][:, :3, 3], axis=1).max() < 1e-6
-        nodes = context.spans.of_stage[context.motion.node_stage] == index
-        text = context.motion.node_tcp["left"][nodes][:, :3, 3]
-        assert np.linalg.norm(text[:, None] - tcp[1:, :3, 3], axis=2).min(axis=0).max() < 1e-6
+    positioner_job.require_text_is_planned(
+        out, prover, float(TURN), np.deg2rad([0.0, float(TILT), 0.0]), 1e-7
+    )
 
 
 def frame(text: str, change: Any) -> str:
