@@ -34,6 +34,8 @@ ROUNDING_M: Final = 1e-9
 """Balls around bodies are larger by this [m], above errors of rounding."""
 ROWS_AT_ONCE: Final = 32
 """Rows that are held against a box at once at first."""
+FIRST_LIMIT_M: Final = 0.08
+"""Lower bounds are looked for up to this [m] at first, where they are asked for farther."""
 NEAR_DISTANCE: Final = 0.012
 """Solids of one arm within this distance [m] in nearly all postures tell nothing when they are near."""
 NEAR_SHARE: Final = 0.95
@@ -186,16 +188,26 @@ class Bounds:
         """
         placed = self._placed(poses)
         lower, upper = np.full(placed.rows, np.inf), np.full(placed.rows, np.inf)
+        open_ = np.arange(placed.rows)
+        if not both and limit > FIRST_LIMIT_M:  # what is beyond the least of a row need not be looked at
+            lower = self._least_within(placed, FIRST_LIMIT_M)
+            open_ = np.flatnonzero(~(lower < FIRST_LIMIT_M))
+        if len(open_):
+            rest = placed if len(open_) == placed.rows else placed.some(open_)
+            lower[open_] = self._least_within(rest, limit, upper if both else None)
+        return lower, upper
+
+    def _least_within(self, placed: _Placed, limit: float, upper: FloatArray | None = None) -> FloatArray:
+        """The lower bounds (B,) of :meth:`least`; takes upper ones into ``upper`` where it is given."""
+        lower = np.full(placed.rows, np.inf)
         boxes = self._near_boxes(placed, limit)
-        if both:
-            np.minimum.at(upper, boxes.row, self._at_most(boxes) + self._box_ease(boxes))
         row, a, b = self._near(placed, limit, np.ones(placed.rows, dtype=np.bool_))
-        ease = self.ease[a, b]
-        if both:
-            np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1] + ease)
+        if upper is not None:
+            np.minimum.at(upper, boxes.row, self._at_most(boxes) + self._box_ease(boxes))
+            np.minimum.at(upper, row, self._between(placed, row, a, b, self.inner)[1] + self.ease[a, b])
         self._below_apart(lower, placed, limit, row, a, b)
         self._below(lower, placed, boxes, limit)
-        return lower, upper
+        return lower
 
     def nearest(
         self, poses: Mapping[str, FloatArray], limit: float
@@ -541,23 +553,32 @@ class Bounds:
     def _below(self, lower: FloatArray, placed: _Placed, near: _NearBox, limit: float) -> None:
         """Takes lower bounds of the distances of solids to the boxes into ``lower`` (B,).
 
-        Bounds from a few points of each axis, as distance changes by at most the way, and of shadows settle
-        most; of those that may be the least of their row, and below ``limit``, outer capsules are worked out.
+        Bounds are worked out as far as it takes to know the least of each row below ``limit``: of the capsule
+        whose ball is nearest, then of what a few points of its axis do not show to be farther than that,
+        again the likely nearest first.
         """
-        size, radius = self.outer[0][near.solid], self.outer[1][near.solid]
-        near = near.some(np.flatnonzero(near.apart - size - radius < limit))
-        low, most = self._along_axis(near)
-        touch = np.flatnonzero(low < limit)
-        shadows = self._shadows(placed, near.some(touch))
-        low[touch] = np.maximum(low[touch], shadows)
-        most[touch] = np.maximum(most[touch], shadows)  # what is found in the end is not above that
         ease = self._box_ease(near)
-        low, most = low + ease, most + ease
-        least = lower.copy()
-        np.minimum.at(least, near.row, most)
-        open_ = np.flatnonzero((low < least[near.row]) & (low < limit))
-        low[open_] = np.maximum(low[open_], self._to_box(near.some(open_)) + ease[open_])
-        np.minimum.at(lower, near.row, low)
+        low = near.apart - self.outer[0][near.solid] - self.outer[1][near.solid] + ease
+        some = np.flatnonzero(low < limit)
+        near, low, ease = near.some(some), low[some], ease[some]
+        for round_ in range(3):
+            some = np.flatnonzero(low < np.minimum(lower, limit)[near.row])
+            near, low, ease = near.some(some), low[some], ease[some]
+            if round_ == 1:
+                low = self._along_axis(near)[0] + ease
+                some = np.flatnonzero(low < np.minimum(lower, limit)[near.row])
+                near, low, ease = near.some(some), low[some], ease[some]
+            if not len(low):
+                return
+            first = np.full(len(lower), np.inf)
+            np.minimum.at(first, near.row, low)
+            look = low == first[near.row] if round_ < 2 else np.ones(len(low), dtype=np.bool_)
+            some, own = near.some(np.flatnonzero(look)), ease[look]
+            value = self._to_box(some) + own
+            touch = np.flatnonzero(value < np.minimum(lower, limit)[some.row])  # shadows only raise it
+            value[touch] = np.maximum(value[touch], self._shadows(placed, some.some(touch)) + own[touch])
+            np.minimum.at(lower, some.row, value)
+            near, low, ease = near.some(np.flatnonzero(~look)), low[~look], ease[~look]
 
     def _box_ease(self, near: _NearBox) -> FloatArray:
         """How much farther (M,) [m] from their boxes solids count than they are."""
@@ -758,18 +779,40 @@ def _separation(
     ``w`` (M, 3) leads from centre to centre, ``gap`` (M, 3) from axis to axis; each solid is given by its
     frame (M, 3, 3) and its support (M, 5). The lines are the axes of both, w and gap.
     """
-    lines = np.concatenate(
-        [np.swapaxes(one[0], 1, 2), np.swapaxes(two[0], 1, 2), w[:, None], gap[:, None]], axis=1
-    )
-    norm = lengths(lines)
-    lines = lines / np.maximum(norm, 1e-12)[..., None]
-    shadow = np.abs(np.einsum("mlc,mc->ml", lines, w))
-    for frame, support in (one, two):
-        cosines = np.abs(lines @ frame)
-        shadow -= np.einsum("mla,ma->ml", cosines, support[:, :3])
-        shadow -= support[:, 3, None] * np.sqrt(np.maximum(1.0 - cosines[..., 2] ** 2, 0.0))
-        shadow -= support[:, 4, None]
-    return np.asarray(np.where(norm > 1e-12, shadow, -np.inf).max(axis=1))
+    (frame, first), (other, second) = one, two
+    turn = np.swapaxes(frame, 1, 2) @ other
+    along, beside = ((w[:, None] @ axes)[:, 0] for axes in (frame, other))
+    best = _most(np.abs(along) - _own_extent(first) - _extents(np.swapaxes(turn, 1, 2), second))
+    best = np.maximum(best, _most(np.abs(beside) - _own_extent(second) - _extents(turn, first)))
+    for line in (w, gap):
+        norm = lengths(line)
+        line = line / np.maximum(norm, 1e-12)[:, None]
+        shadow = np.abs(dots(line, w))
+        for axes, support in (one, two):
+            shadow -= _extents(np.swapaxes(line[:, None] @ axes, 1, 2), support)[:, 0]
+        best = np.maximum(best, np.where(norm > 1e-12, shadow, -np.inf))
+    return best
+
+
+def _own_extent(support: FloatArray) -> FloatArray:
+    """Half lengths (M, 3) of the shadows of solids on their own axes."""
+    flat = support[:, 3:4] * np.array([1.0, 1.0, 0.0])
+    return np.asarray(support[:, :3] + flat + support[:, 4:])
+
+
+def _extents(cosines: FloatArray, support: FloatArray) -> FloatArray:
+    """Half lengths (M, L) of the shadows of solids on lines that have the ``cosines`` (M, 3, L) with their
+    axes."""
+    x, y, z = (cosines[:, axis] for axis in range(3))
+    size = support[:, :, None]
+    out = np.abs(x) * size[:, 0] + np.abs(y) * size[:, 1] + np.abs(z) * size[:, 2] + size[:, 4]
+    out += size[:, 3] * np.sqrt(np.maximum(1.0 - z * z, 0.0))
+    return np.asarray(out)
+
+
+def _most(values: FloatArray) -> FloatArray:
+    """The greatest (M,) of the rows of values (M, 3)."""
+    return np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2])
 
 
 def _box(points: FloatArray, half: FloatArray) -> FloatArray:
