@@ -17,6 +17,7 @@ import numpy as np
 from planner.cell.bodies import Easing, Solid, chains_of, extent, hull_points, signed_distance
 from planner.cell.bodies import fixed as is_fixed
 from planner.cell.distance import AGREED_M, Cores, between_segments, cores, distances, nearest_to_box
+from planner.cell.shadows import separation, support
 from planner.geometry.arrays import (
     BoolArray,
     FloatArray,
@@ -54,7 +55,7 @@ class Bounds:
 
     Centre (S, 3) and unit axis (S, 3) of the capsules are in their body, which is ``bodies[part]``; half
     lengths and radii (S,) are outer and inner. ``frame`` (S, 3, 3) are the shapes' axes in their body,
-    ``support`` (S, 5) is what :func:`_support` says.
+    ``support`` (S, 5) is what :func:`support` says.
 
     ``boxes`` (K,) are boxes of fixed bodies, of half size (K, 3), or stand for meshes within them where not
     ``exact``. ``pairs`` (M, 2) are pairs of capsules,
@@ -434,7 +435,7 @@ class Bounds:
             (placed.turns[at, self.part[k]] @ self.frame[k], self.support[k]) for k in (first, second)
         )
         w = placed.centre[at, first] - placed.centre[at, second]
-        return np.maximum(gap[some], _separation(w, way[some], one, two))
+        return np.maximum(gap[some], separation(w, way[some], one, two))
 
     def _below_apart(
         self,
@@ -540,7 +541,7 @@ class Bounds:
         return _NearBox(row, solid, box, local[kept], along, self.half[box], apart[kept])
 
     def _shadows(self, placed: _Placed, near: _NearBox) -> FloatArray:
-        """Lower bounds (M,) of distances of solids to boxes, as :func:`_separation` has them: of a flat disc
+        """Lower bounds (M,) of distances of solids to boxes, as :func:`separation` has them: of a flat disc
         above a floor, where its capsule is a ball that reaches far into it."""
         pose = placed.fixed @ np.array([box.shape.pose for box in self.boxes]).reshape(-1, 4, 4)
         turn = pose[near.box][:, :3, :3]
@@ -548,7 +549,7 @@ class Bounds:
         half = np.concatenate([near.half, np.zeros((len(near.half), 2))], axis=1)
         off = near.place - np.clip(near.place, -near.half, near.half)
         w, gap = (np.einsum("mab,mb->ma", turn, v) for v in (near.place, off))
-        return _separation(w, gap, (one, self.support[near.solid]), (turn, half))
+        return separation(w, gap, (one, self.support[near.solid]), (turn, half))
 
     def _below(self, lower: FloatArray, placed: _Placed, near: _NearBox, limit: float) -> None:
         """Takes lower bounds of the distances of solids to the boxes into ``lower`` (B,).
@@ -559,26 +560,30 @@ class Bounds:
         """
         ease = self._box_ease(near)
         low = near.apart - self.outer[0][near.solid] - self.outer[1][near.solid] + ease
-        some = np.flatnonzero(low < limit)
-        near, low, ease = near.some(some), low[some], ease[some]
-        for round_ in range(3):
-            some = np.flatnonzero(low < np.minimum(lower, limit)[near.row])
-            near, low, ease = near.some(some), low[some], ease[some]
-            if round_ == 1:
+        for stage in range(3):
+            near, low, ease = self._still_open(lower, near, low, ease, limit)
+            if stage == 1:
                 low = self._along_axis(near)[0] + ease
-                some = np.flatnonzero(low < np.minimum(lower, limit)[near.row])
-                near, low, ease = near.some(some), low[some], ease[some]
+                near, low, ease = self._still_open(lower, near, low, ease, limit)
             if not len(low):
                 return
-            first = np.full(len(lower), np.inf)
-            np.minimum.at(first, near.row, low)
-            look = low == first[near.row] if round_ < 2 else np.ones(len(low), dtype=np.bool_)
-            some, own = near.some(np.flatnonzero(look)), ease[look]
+            least = np.full(len(lower), np.inf)
+            np.minimum.at(least, near.row, low)
+            first = low == least[near.row] if stage < 2 else np.ones(len(low), dtype=np.bool_)
+            some, own = near.some(np.flatnonzero(first)), ease[first]
             value = self._to_box(some) + own
             touch = np.flatnonzero(value < np.minimum(lower, limit)[some.row])  # shadows only raise it
             value[touch] = np.maximum(value[touch], self._shadows(placed, some.some(touch)) + own[touch])
             np.minimum.at(lower, some.row, value)
-            near, low, ease = near.some(np.flatnonzero(~look)), low[~look], ease[~look]
+            near, low, ease = near.some(np.flatnonzero(~first)), low[~first], ease[~first]
+
+    @staticmethod
+    def _still_open(
+        lower: FloatArray, near: _NearBox, low: FloatArray, ease: FloatArray, limit: float
+    ) -> tuple[_NearBox, FloatArray, FloatArray]:
+        """Pairs, with their bounds ``low`` and ``ease`` (M,), that may yet be the least of their row."""
+        some = np.flatnonzero(low < np.minimum(lower, limit)[near.row])
+        return near.some(some), low[some], ease[some]
 
     def _box_ease(self, near: _NearBox) -> FloatArray:
         """How much farther (M,) [m] from their boxes solids count than they are."""
@@ -714,7 +719,7 @@ def prepare(
         outer=(np.array([r[1] for r in rows]), np.array([r[2] for r in rows])),
         inner=(np.array([r[3] for r in rows]), np.array([r[4] for r in rows])),
         frame=np.array([s.shape.pose[:3, :3] for s in capsules]),
-        support=np.array([_support(s) for s in capsules]),
+        support=np.array([support(s) for s in capsules]),
         boxes=tuple(ready),
         exact=np.array([s.shape.kind == "box" for s in boxes], dtype=bool),
         half=np.array([0.5 * np.asarray(s.shape.size) for s in ready]).reshape(-1, 3),
@@ -756,63 +761,6 @@ def _capsule(solid: Solid) -> tuple[FloatArray, float, float, float, float]:
         thin = float(size[order[0]]) if kind == "box" else -np.inf
     around = max(0.0, half - 0.4 * radius)
     return axis, around, float(np.hypot(radius, half - around)), max(0.0, half - max(thin, 0.0)), thin
-
-
-def _support(solid: Solid) -> tuple[float, float, float, float, float]:
-    """Half sizes along the shape's axes, the radius of flat ends about its z, and a rounding around all."""
-    size = solid.shape.size
-    if solid.shape.kind == "sphere":
-        return 0.0, 0.0, 0.0, 0.0, size[0]
-    if solid.shape.kind == "capsule":
-        return 0.0, 0.0, 0.5 * size[1], 0.0, size[0]
-    if solid.shape.kind == "cylinder":
-        return 0.0, 0.0, 0.5 * size[1], size[0], 0.0
-    x, y, z = (0.5 * float(v) for v in extent(solid))
-    return x, y, z, 0.0, 0.0
-
-
-def _separation(
-    w: FloatArray, gap: FloatArray, one: tuple[FloatArray, FloatArray], two: tuple[FloatArray, FloatArray]
-) -> FloatArray:
-    """Lower bounds (M,) of distances: the gap between the shadows of two solids on the best of eight lines.
-
-    ``w`` (M, 3) leads from centre to centre, ``gap`` (M, 3) from axis to axis; each solid is given by its
-    frame (M, 3, 3) and its support (M, 5). The lines are the axes of both, w and gap.
-    """
-    (frame, first), (other, second) = one, two
-    turn = np.swapaxes(frame, 1, 2) @ other
-    along, beside = ((w[:, None] @ axes)[:, 0] for axes in (frame, other))
-    best = _most(np.abs(along) - _own_extent(first) - _extents(np.swapaxes(turn, 1, 2), second))
-    best = np.maximum(best, _most(np.abs(beside) - _own_extent(second) - _extents(turn, first)))
-    for line in (w, gap):
-        norm = lengths(line)
-        line = line / np.maximum(norm, 1e-12)[:, None]
-        shadow = np.abs(dots(line, w))
-        for axes, support in (one, two):
-            shadow -= _extents(np.swapaxes(line[:, None] @ axes, 1, 2), support)[:, 0]
-        best = np.maximum(best, np.where(norm > 1e-12, shadow, -np.inf))
-    return best
-
-
-def _own_extent(support: FloatArray) -> FloatArray:
-    """Half lengths (M, 3) of the shadows of solids on their own axes."""
-    flat = support[:, 3:4] * np.array([1.0, 1.0, 0.0])
-    return np.asarray(support[:, :3] + flat + support[:, 4:])
-
-
-def _extents(cosines: FloatArray, support: FloatArray) -> FloatArray:
-    """Half lengths (M, L) of the shadows of solids on lines that have the ``cosines`` (M, 3, L) with their
-    axes."""
-    x, y, z = (cosines[:, axis] for axis in range(3))
-    size = support[:, :, None]
-    out = np.abs(x) * size[:, 0] + np.abs(y) * size[:, 1] + np.abs(z) * size[:, 2] + size[:, 4]
-    out += size[:, 3] * np.sqrt(np.maximum(1.0 - z * z, 0.0))
-    return np.asarray(out)
-
-
-def _most(values: FloatArray) -> FloatArray:
-    """The greatest (M,) of the rows of values (M, 3)."""
-    return np.maximum(np.maximum(values[:, 0], values[:, 1]), values[:, 2])
 
 
 def _box(points: FloatArray, half: FloatArray) -> FloatArray:

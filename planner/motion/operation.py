@@ -16,7 +16,7 @@ from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import diagnosis, transit, ways
 from planner.motion.former import FormerPath
-from planner.motion.planning_scene import Scene
+from planner.motion.planning_scene import Begin, Scene, here
 from planner.motion.search import path_search
 from planner.motion.search.ladder_search import Blocked, Found, speed_limits
 from planner.motion.search.path_search import find_path
@@ -74,7 +74,7 @@ def plan_operation(
     stock_pose: FloatArray,
     model: CellModel | None = None,
     bases: Mapping[str, FloatArray] | None = None,
-    begin: ways.Begin = ways.here,
+    begin: Begin = here,
     former: FormerPath | None = None,
     fine: bool = True,
     known: tuple[Grid, Found] | None = None,
@@ -96,7 +96,7 @@ def plan_operation(
     near = _Near(former, fine, known if aimed is targets else None)
     targets = aimed
     targets, found = _path(scene, targets, watch, near)
-    avoid = _avoid(scene, targets)
+    avoid = _avoid(scene, targets, begin)
     better, kept = _improve(scene, targets, found, avoid, watch)
     families = {scene.chains[arm].robot.family for arm in targets.arms}
     synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
@@ -241,13 +241,15 @@ def _path(scene: Scene, targets: Targets, watch: _Watch, near: _Near) -> tuple[T
     return mended, again
 
 
-def _avoid(scene: Scene, targets: Targets) -> Avoid | None:
-    """What measures distances along paths of the targets, None where nothing is in the way."""
+def _avoid(scene: Scene, targets: Targets, begin: Begin = here) -> Avoid | None:
+    """What measures distances along paths of the targets, None where nothing is in the way; ``begin``: where
+    it works out some of them beside the others."""
     if scene.model is None:
         return None
     kinds = scene.by_kind(targets, np.arange(targets.count))
     model = scene.bodies(targets) or scene.model
-    return Avoid(model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
+    wanted = scene.settings.clearance
+    return Avoid(model, targets.arms, wanted, CLEARANCE_WEIGHT, kinds, begin=begin)
 
 
 def _improve(

@@ -14,7 +14,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,15 @@ from planner.cell.clearance import Against, LeastClearance, Pairs
 from planner.cell.clearance import edge as edge_clearance
 from planner.cell.kinematics import forward, jacobian
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, interpolate, inverse, transform
+from planner.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    interpolate,
+    inverse,
+    spread_rows,
+    transform,
+)
 from planner.geometry.arrays import inverse as rigid_inverse
 from planner.motion import offset_wrist, own_clearance, seven_axes, spherical_wrist, three_parallel
 from planner.problem import Arm, Cell, LinearTrack, Settings
@@ -289,6 +298,16 @@ HELD_PREFIX = "held:"
 """Work frames that another arm's tool carries are named by this and that arm."""
 
 
+Begin = Callable[..., Iterator[Any]]
+"""What begins a call of a generator function with its arguments, and gives back what that yields: perhaps
+from another process, which works it out from now on."""
+
+
+def here(work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
+    """Works a call out in this process, where it is asked for."""
+    return work(*arguments)
+
+
 DISTANCE_BATCH = 64
 """Targets that are asked for their least distance at a time, nearest bounds first."""
 
@@ -523,7 +542,10 @@ class Scene:
         aside = own_clearance.other_pairs(model) if own else own_clearance.own_pairs(model)
         for passing, rows in self.by_kind(targets, np.arange(targets.count)):
             part, ignore, here = {arm: v[rows] for arm, v in q.items()}, passing | aside, model.at_rows(rows)
-            lower = clearance.at_least(here, part, reach, ignore)
+            some = spread_rows(len(rows), DISTANCE_BATCH)  # bounds need not reach farther than these are
+            few = clearance.least(here.at_rows(some), {arm: v[some] for arm, v in part.items()}, best, ignore)
+            enough = float(few.distance.min(initial=best)) + 2.0 * clearance.BOUND_ERROR
+            lower = clearance.at_least(here, part, min(best, enough), ignore)
             order = np.argsort(lower, kind="stable")
             for start in range(0, len(order), DISTANCE_BATCH):
                 some = order[start : start + DISTANCE_BATCH]

@@ -26,7 +26,7 @@ from planner.motion.first_look import FirstLook
 from planner.motion.former import Former, place_told, unlike_told
 from planner.motion.operation import NoCoarsePathError, plan_operation
 from planner.motion.placement import Place, Search, Trace
-from planner.motion.planning_scene import Chain, Scene
+from planner.motion.planning_scene import Begin, Chain, Scene, here
 from planner.motion.search.ladder_search import Blocked, Found
 from planner.motion.search.path_search import find_path, with_aims
 from planner.motion.search.reach import Grid, slides_only
@@ -130,7 +130,7 @@ def solve(
     problem: Problem,
     targets: Sequence[Targets],
     progress: Progress | None = None,
-    begin: ways.Begin = ways.here,
+    begin: Begin = here,
     former: Former | None = None,
 ) -> Plan:
     """The plan of all operations of a problem, given the targets of each. ``begin``: what begins work that
@@ -170,7 +170,7 @@ def _solve(
     targets: Sequence[Targets],
     tell: Progress,
     at: list[int],
-    begin: ways.Begin = ways.here,
+    begin: Begin = here,
     former: Former | None = None,
 ) -> Plan:
     """As :func:`solve`; ``at`` is set to the operation that is planned."""
@@ -325,7 +325,7 @@ def _begun(
     problem: Problem,
     stands: Sequence[Stand],
     bases: Mapping[str, FloatArray],
-    begin: ways.Begin,
+    begin: Begin,
     former: Former | None,
 ) -> dict[int, Iterator[_Settled | _Refused]]:
     """The stands behind the first one, by the number of their first setup, the last one begun first: whoever
@@ -372,7 +372,7 @@ def _settle(
     stand: Stand,
     tell: Progress,
     at: list[int],
-    begin: ways.Begin = ways.here,
+    begin: Begin = here,
     former: Former | None = None,
 ) -> _Settled:
     """A place and the plans of all operations of one stand."""
@@ -421,7 +421,7 @@ def _plan(
     place: Place,
     tell: Progress,
     at: list[int],
-    begin: ways.Begin,
+    begin: Begin,
     former: Former | None = None,
     fine: bool = True,
     paths: _Paths | None = None,
@@ -467,7 +467,7 @@ def _first_that_works(
     trace: Trace,
     tell: Progress,
     at: list[int],
-    begin: ways.Begin,
+    begin: Begin,
 ) -> tuple[Place, list[OperationPlan]]:
     """The first place at which all operations have plans: of those that need no fine samples, which take
     long, else of all. While every other one is planned, the path at the next is looked for ahead, perhaps in
@@ -499,7 +499,7 @@ def _first_that_works(
 
 
 def _looked_ahead(
-    problem: Problem, stand: Stand, model: CellModel, place: Place, begin: ways.Begin
+    problem: Problem, stand: Stand, model: CellModel, place: Place, begin: Begin
 ) -> Iterator[tuple[Grid, Found] | None] | None:
     """Begins the search of a path for the first operation of a stand at a place, with the samples that are
     tried first; None where tools are aimed there, which the plan itself does."""

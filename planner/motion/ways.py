@@ -11,8 +11,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.motion import own_clearance
-from planner.motion.planning_scene import Scene
+from planner.motion.planning_scene import Begin, Scene, here
 from planner.motion.rrt import (
     MOST_MOVES,
     SAME_TRAVEL_RAD,
@@ -62,16 +62,6 @@ class Ways:
     order: tuple[str, ...]
     together: bool = False
     known: bool = False
-
-
-Begin = Callable[..., Iterator[Any]]
-"""What begins a call of a generator function with its arguments, and gives back what that yields: perhaps
-from another process, which works it out from now on."""
-
-
-def here(work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
-    """Works a call out in this process, where it is asked for."""
-    return work(*arguments)
 
 
 class BothWays:

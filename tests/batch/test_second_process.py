@@ -22,7 +22,8 @@ from planner import pipeline
 from planner import processes as registry
 from planner.batch.worker import SMALL_BYTES, Second, beginning
 from planner.issues import Issue, TandemError
-from planner.motion import solve, ways
+from planner.motion import solve
+from planner.motion.planning_scene import here
 from planner.report import output
 from planner.verify import prove as verify_prove
 from planner.verify.prove import prove
@@ -192,7 +193,7 @@ def test_later_setups_and_ways_home_are_planned_there_as_they_are_here(second: T
         text = small_problem.PROBLEM + f"  - {{{AGAIN}, file: {name}}}\n"
         problem = pipeline.load(small_problem.write(tmp_path, text))
         targets = [job.targets() for job in registry.jobs(problem)]
-        for begin in (ways.here, second.begin):
+        for begin in (here, second.begin):
             second.done.clear()
             try:
                 plans.append(solve.solve(problem, targets, begin=begin))

@@ -83,6 +83,33 @@ def test_bounds_are_never_above_distances(name: str) -> None:
         assert np.array_equal(clearance.free(model, {"arm": q}, 0.005), exact > 0.005)
 
 
+@pytest.mark.parametrize("limit", [0.05, 0.3])
+def test_the_bound_of_all_bodies_is_the_least_of_those_of_every_two(limit: float) -> None:
+    """Of a posture bounds are worked out as far as its least one asks: each pair of bodies by itself has none
+    that is lower."""
+    model, rng = plant.build(facing(), BLOCK, PLACE), np.random.default_rng(4)
+    limits = [robots.robot(arm.robot) for arm in model.cell.arms]
+    q = {
+        arm.name: rng.uniform(one.lower, one.upper, (300, 6))
+        for arm, one in zip(model.cell.arms, limits, strict=True)
+    }
+    bounds, poses = model.bounds, model.poses(q)
+    names = sorted({solid.body for solid in bounds.given})
+    every = frozenset(frozenset(two) for two in itertools.combinations(names, 2))
+    each = [bounds.among(every - {two}) for two in every]
+    alone = np.min(
+        [one.least(poses, limit, both=False)[0] for one in each if len(one.pairs) + len(one.box_pairs)],
+        axis=0,
+    )
+    lower, _ = bounds.least(poses, limit, both=False)
+    both, _ = bounds.least(poses, limit)
+    near = alone < limit
+    assert near.sum() > 100
+    for found in (lower, both):
+        np.testing.assert_allclose(found[near], alone[near], rtol=0.0, atol=1e-12)
+        assert np.all(found[~near] >= limit)
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_no_near_pair_of_solids_is_passed_over(seed: int) -> None:
     """Every pair of solids that is held apart, measured one by one, in random postures of two arms: what

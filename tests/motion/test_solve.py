@@ -14,11 +14,11 @@ from planner.catalogue.robots import OffsetParameters, robot, robot_names
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import exp_twist, from_parts
 from planner.issues import Issue, TandemError
-from planner.motion import diagnosis, operation, place_margin, placement, ways
+from planner.motion import diagnosis, operation, place_margin, placement
 from planner.motion import solve as solve_module
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search
-from planner.motion.planning_scene import Chain, Scene
+from planner.motion.planning_scene import Chain, Scene, here
 from planner.motion.search.ladder_search import Blocked, Found, search
 from planner.motion.search.path_search import find_path
 from planner.motion.search.reach import sample
@@ -259,7 +259,7 @@ def test_every_other_place_is_looked_at_ahead_and_known_then(
 
     def begin(work: Any, *arguments: Any) -> Any:
         if work is not solve_module._coarse_path:
-            return ways.here(work, *arguments)
+            return here(work, *arguments)
         begun.append(arguments)
         return iter([next(work(*arguments)) if coarse else None])
 

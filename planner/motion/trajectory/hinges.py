@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -16,10 +16,11 @@ import numpy as np
 from planner.catalogue.robots import columns_of
 from planner.cell import clearance
 from planner.cell.bodies import extent, link_chain
+from planner.cell.bounds import Bounds
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, transform
-from planner.motion.planning_scene import FULL_TURN, Chain, Scene
+from planner.motion.planning_scene import FULL_TURN, Begin, Chain, Scene, here
 from planner.motion.search.reach import PENALTY, SOFT_LIMIT_RAD, SOFT_SINGULARITY_RAD
 from planner.targets import Targets
 from planner.tooling import working_solid
@@ -151,6 +152,15 @@ WRIST_LEVER_M: Final = 0.25
 """Least lever [m] of the wrist's axes for pairs of hand and forearm."""
 
 
+SHARED_PARTS: Final = 4
+"""Of so many parts of targets with bounds to work out, or more, every other one goes to another process."""
+
+
+def _bounded(bounds: Bounds, poses: Mapping[str, FloatArray], limit: float) -> Iterator[FloatArray]:
+    """Lower bounds (B,) [m] of the least distance of bodies at poses, up to ``limit``."""
+    yield bounds.least(poses, limit, both=False)[0]
+
+
 class Avoid:
     """Hinges on all distances below the wanted clearance and a little more, at joints (N, J) of ``arms``.
 
@@ -158,7 +168,8 @@ class Avoid:
     the wrist moves against each other (hand and forearm of one arm) are always near, and would spoil the
     bounds: they are followed by their gradients. ``kinds`` are pairs of bodies that may meet, with the rows
     where they may. ``soft`` [m]: distances up to this above ``wanted`` count.
-    ``asked`` counts the targets that were measured.
+    ``asked`` counts the targets that were measured. ``begin``: where half of many bounds
+    are worked out beside the others.
     """
 
     def __init__(
@@ -169,9 +180,10 @@ class Avoid:
         weight: float,
         kinds: Sequence[tuple[Pairs, IndexArray]] = (),
         soft: float = SOFT_CLEARANCE_M,
+        begin: Begin = here,
     ) -> None:
         self._model, self._arms, self._wanted, self._weight = model, arms, wanted, weight
-        self._soft = soft
+        self._soft, self._begin = soft, begin
         self.asked = 0
         self._columns = np.concatenate([np.arange(model.home.size)[model.columns[arm]] for arm in arms])
         self._parts = columns_of({arm: model.robots[arm] for arm in arms})
@@ -249,14 +261,20 @@ class Avoid:
             for index in np.array_split(rows, -(-len(rows) // clearance.CONFIGURATIONS_AT_ONCE) or 1)
             if len(index)
         ]
-        for bounds, index in parts:
-            rows = self._model.stack({arm: q[index, part] for arm, part in self._parts.items()})
-            every = self._model.split(rows)
-            poses = self._model.at_rows(index).poses(every)
-            lower, _ = bounds.least(poses, limit + far, both=False)
+        shared = self._begin if len(parts) >= SHARED_PARTS else here
+        aside = [shared(_bounded, *self._placed(q, *part), limit + far) for part in parts[1::2]]
+        for k, (bounds, index) in enumerate(parts):
+            lower = next(aside[k // 2] if k % 2 else _bounded(*self._placed(q, bounds, index), limit + far))
             bound[index] = np.minimum(lower, limit + far) - BOUND_ERROR
             self._bound[index], self._bound_at[index] = bound[index], q[index]
         return np.asarray(bound)
+
+    def _placed(
+        self, q: FloatArray, bounds: Bounds, index: IndexArray
+    ) -> tuple[Bounds, Mapping[str, FloatArray]]:
+        """Bounds, and poses of their bodies at the rows ``index`` of q."""
+        rows = self._model.stack({arm: q[index, part] for arm, part in self._parts.items()})
+        return bounds, self._model.at_rows(index).poses(self._model.split(rows))
 
     def _start(self, q: FloatArray) -> None:
         """Asks at a few rows; what is found there of local pairs holds for their neighbours to begin with."""

@@ -23,6 +23,10 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Literal
 
+import numpy as np
+
+from planner.geometry.arrays import IntArray
+
 ActionKind = Literal["set", "wait", "go", "done", "gate", "look", "pause"]
 FaultKind = Literal["deadlock", "lost_edge", "apart", "unwatched"]
 RunningWire = Literal["works", "low", "high"]
@@ -97,8 +101,69 @@ class Verdict:
     kinds: int
 
 
+class Product:
+    """Two programs as several checks look at them: what their places decide, by the sum of both places and
+    the offset between them. Raises ``ValueError`` where there are not two of them."""
+
+    def __init__(self, programs: Sequence[Sequence[Action]]) -> None:
+        if len(programs) != 2:
+            raise ValueError(f"{len(programs)} programs; the check takes two")
+        self.last = sum(len(program) for program in programs)
+        self.table: list[Action | None] = [None]
+        known: dict[tuple[object, ...], int] = {}
+        code = []
+        for program in programs:
+            row = []
+            for action in program:
+                value = action.value if action.kind in ("set", "wait", "look") else 0
+                if action.kind == "go":
+                    value = min(action.value, 1)
+                key = (action.kind, action.wire, value, action.resets)
+                if key not in known:
+                    known[key] = len(self.table)
+                    self.table.append(action)
+                row.append(known[key])
+            code.append(np.array([*row, 0]))
+        self._code = code
+        self._need = [
+            np.array([a.value - 1 if a.kind == "go" else _NEVER for a in program] + [_NEVER])
+            for program in programs
+        ]
+        self._gate = [
+            np.array([a.value if a.kind == "gate" else -1 for a in program] + [-1]) for program in programs
+        ]
+        self._finished = [np.array(_finished(program)) for program in programs]
+        self._kinds: dict[int, list[int]] = {}
+
+    def kinds(self, offset: int) -> list[int]:
+        """For each sum of places the number of what they decide, at an offset; without meaning where there
+        are no such places."""
+        if offset not in self._kinds:
+            total: IntArray = np.arange(self.last + 1)
+            first, second = (
+                np.clip(place >> 1, 0, len(code) - 1)
+                for place, code in zip((total + offset, total - offset), self._code, strict=True)
+            )
+            out = self._code[0][first] * len(self.table) + self._code[1][second]
+            for flag in (
+                self._need[0][first] <= self._finished[1][second],
+                self._need[1][second] <= self._finished[0][first],
+                second >= self._gate[0][first],
+                first >= self._gate[1][second],
+            ):
+                out = 2 * out + flag
+            self._kinds[offset] = out.tolist()
+        return self._kinds[offset]
+
+    def here(self, total: int, offset: int) -> _Here:
+        """What a sum of places decides at an offset."""
+        kind = self.kinds(offset)[total]
+        first, second = divmod(kind >> 4, len(self.table))
+        return first, second, bool(kind & 8), bool(kind & 4), bool(kind & 2), bool(kind & 1)
+
+
 def check(
-    programs: Sequence[Sequence[Action]],
+    programs: Sequence[Sequence[Action]] | Product,
     wires: int,
     gates: bool = True,
     trace: int = 12,
@@ -115,7 +180,8 @@ def check(
     "lost_edge": a wire changes before the other program has seen its last change, or that is never seen.
     "unwatched": a program works behind the first meeting though a running wire is stuck.
     """
-    return _Search(programs, wires, gates, trace, running).run()
+    product = programs if isinstance(programs, Product) else Product(programs)
+    return _Search(product, wires, gates, trace, running).run()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,41 +195,20 @@ class _Row:
 class _Search:
     def __init__(
         self,
-        programs: Sequence[Sequence[Action]],
+        product: Product,
         wires: int,
         gates: bool,
         trace: int,
         running: tuple[RunningWire, RunningWire] | None,
     ) -> None:
-        if len(programs) != 2:
-            raise ValueError(f"{len(programs)} programs; the check takes two")
-        self.programs = programs
+        self.product = product
+        self.table = product.table
         self.wires = wires
         self.gates = gates
         self.trace = trace
         self.running = running
         self.stuck = running is not None and running != ("works", "works")
         self.gone, self.stands, self.low, self.cut = (3 * wires + 2 * i for i in range(4))
-        self.code: list[list[int]] = []
-        self.table: list[Action | None] = [None]
-        known: dict[tuple[object, ...], int] = {}
-        for program in programs:
-            row = []
-            for action in program:
-                value = action.value if action.kind in ("set", "wait", "look") else 0
-                if action.kind == "go":
-                    value = min(action.value, 1)
-                key = (action.kind, action.wire, value, action.resets)
-                if key not in known:
-                    known[key] = len(self.table)
-                    self.table.append(action)
-                row.append(known[key])
-            self.code.append([*row, 0])
-        self.need = [
-            [a.value - 1 if a.kind == "go" else _NEVER for a in program] + [_NEVER] for program in programs
-        ]
-        self.gate = [[a.value if a.kind == "gate" else -1 for a in program] + [-1] for program in programs]
-        self.finished = [_finished(program) for program in programs]
 
     def run(self) -> Verdict:
         first = 0
@@ -175,19 +220,23 @@ class _Search:
         )
         rows = [_row(start)]
         known = {start: 0}
-        memo: dict[tuple[int, tuple[_Here, ...]], tuple[int, int, frozenset[FaultKind]]] = {}
+        memo: dict[tuple[int, tuple[int, ...]], tuple[int, int, frozenset[FaultKind]]] = {}
+        kinds: list[list[list[int]]] = []
         history: list[int] = []
         findings: list[Finding] = []
         here, states = 0, 0
-        for total in range(sum(len(program) for program in self.programs) + 1):
+        for total in range(self.product.last + 1):
             row = rows[here]
             if not row.states:
                 break
             history.append(here)
-            place = tuple([self._here(total, offset) for offset in row.offsets])
+            while len(kinds) < len(rows):
+                kinds.append([self.product.kinds(offset) for offset in rows[len(kinds)].offsets])
+            place = tuple([kind[total] for kind in kinds[here]])
             answer = memo.get((here, place))
             if answer is None:
-                following, count, faults = self._expand(row, dict(zip(row.offsets, place, strict=True)))
+                decided = {offset: self.product.here(total, offset) for offset in row.offsets}
+                following, count, faults = self._expand(row, decided)
                 if following not in known:
                     known[following] = len(rows)
                     rows.append(_row(following))
@@ -351,20 +400,9 @@ class _Search:
 
     # ---- how it comes about ----
 
-    def _here(self, total: int, offset: int) -> _Here:
-        a, b = (total + offset) >> 1, (total - offset) >> 1
-        return (
-            self.code[0][a],
-            self.code[1][b],
-            self.need[0][a] <= self.finished[1][b],
-            self.need[1][b] <= self.finished[0][a],
-            b >= self.gate[0][a],
-            a >= self.gate[1][b],
-        )
-
     def _whole(self, total: int, row: _Row) -> dict[_State, list[_Step]]:
         """States at a sum of places, with the steps that they can do."""
-        here = {offset: self._here(total, offset) for offset in row.offsets}
+        here = {offset: self.product.here(total, offset) for offset in row.offsets}
         return {
             (offset, bits): self._events(bits, here[offset])
             for offset, bits in sorted(self._closed(row.states, here))
@@ -397,9 +435,9 @@ class _Search:
             for program, _, fault in moved:
                 if fault == kind and (kind in _ALWAYS or not stopped):
                     yield (offset, bits), program
-            if kind == "deadlock" and self._stuck(bits, self._here(total, offset), moved):
+            if kind == "deadlock" and self._stuck(bits, self.product.here(total, offset), moved):
                 yield (offset, bits), 0
-            if kind == "lost_edge" and self._unread(bits, self._here(total, offset)):
+            if kind == "lost_edge" and self._unread(bits, self.product.here(total, offset)):
                 yield (offset, bits), 0
 
     def _before(self, state: _State, level: int, row: _Row) -> tuple[_State, Event]:
@@ -409,7 +447,9 @@ class _Search:
                 there = offset + (1 if program == 0 else -1)
                 if there != state[0]:
                     continue
-                if state in self._closed(frozenset({(there, after)}), {there: self._here(level, there)}):
+                if state in self._closed(
+                    frozenset({(there, after)}), {there: self.product.here(level, there)}
+                ):
                     place = (level - 1 + offset) >> 1 if program == 0 else (level - 1 - offset) >> 1
                     return (offset, bits), Event(program, place)
         raise RuntimeError("a state that was reached has no state before it")

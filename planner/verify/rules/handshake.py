@@ -15,7 +15,7 @@ from planner.verify.context import Context, Outcome, at_step, rule
 from planner.verify.job import TaskText
 from planner.verify.programs import handshake_moves, handshake_restarts
 from planner.verify.programs.handshake_automata import Reading, Wiring
-from planner.verify.programs.handshake_model import Action, Event, Finding, RunningWire, check
+from planner.verify.programs.handshake_model import Action, Event, Finding, Product, RunningWire, check
 from planner.verify.programs.steps import (
     CheckStep,
     MoveStep,
@@ -216,7 +216,7 @@ def _model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[Issue],
     tasks = context.job.tasks
     arms = [task.name for task in tasks]
     words = Words(arms, readings, {task.name: task.steps for task in tasks}, wiring.wires)
-    programs = [readings[arm].actions for arm in arms]
+    programs = Product([readings[arm].actions for arm in arms])
     states = 0
     for gates, running in _MODEL_CASES[:2] if faulty else _MODEL_CASES:
         verdict = check(programs, len(wiring.wires), gates, running=running)

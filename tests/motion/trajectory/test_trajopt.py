@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
+import pytest
 
+from planner.motion.planning_scene import here
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
+from planner.motion.trajectory import hinges
 from planner.motion.trajectory.hinges import Avoid
 from planner.motion.trajectory.trajopt import improve, path_cost
 from planner.targets import ScrewFreedom
@@ -99,6 +104,30 @@ def test_clearance_hinges_agree_with_drakes_distances() -> None:
             near = [d for d, _, _ in clearance.gradients(scene.model, row, 0.08)]
             total += sum(max(wanted + 0.008 - d, 0.0) ** 2 / 0.008**2 for d in near)
         assert abs(avoid.cost(moved) - total) <= 1e-9 + 1e-6 * total
+
+
+def test_bounds_that_are_worked_out_elsewhere_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of many targets every other part of bounds is begun aside, before those that are worked out here."""
+    scene, targets = pair(90)
+    found = found_path(scene, targets)
+    assert scene.model is not None
+    monkeypatch.setattr(hinges.clearance, "CONFIGURATIONS_AT_ONCE", 20)
+    begun = []
+
+    def aside(work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
+        begun.append(len(arguments[1]))
+        return iter(tuple(work(*arguments)))
+
+    q = np.concatenate([found.q[a] for a in targets.arms], axis=1)
+    costs = []
+    for begin in (here, aside):
+        avoid = Avoid(scene.model, targets.arms, 0.03, 1.0, begin=begin)
+        costs.append(
+            [avoid.cost(q + shift * np.sin(np.arange(q.size)).reshape(q.shape)) for shift in (0, 0.3)]
+        )
+    assert costs[0] == costs[1]
+    assert costs[0][1] > 0.0
+    assert len(begun) >= 2
 
 
 def test_arms_that_are_near_nothing_have_no_hinges() -> None:
