@@ -35,6 +35,8 @@ _SPACING: Final = 0.001
 """The ball is looked at whenever it has gone so far [m]."""
 _PLACE_SIZE: Final = 0.002
 """Largest size [m] of pieces of the wall that stand for places."""
+_PLACES_AT_ONCE: Final = 4096
+"""Places of a wall of which is told at once what touches them: lists of it are long."""
 _PLACES: Final = 20_000
 """Places of the wall, about, at most."""
 _SAME_DISTANCE: Final = 2e-5
@@ -127,13 +129,15 @@ def _touched(one: Formed, points: FloatArray, step: float) -> tuple[FloatArray, 
     touched = claim.radius + claim.scallop[rows[owner]] + bent
     # what the ball comes nowhere as near to is formed where it is about as near as ever
     nearest = np.asarray(tree.query(places)[0])
-    formed = tree.query_ball_point(places, np.maximum(touched, nearest + touched - claim.radius))
-    formed_at = np.array([some.min() for some in map(np.asarray, formed)], dtype=np.int64)
+    about = np.maximum(touched, nearest + touched - claim.radius)
+    formed_at, top = np.zeros(len(places), dtype=np.int64), np.full(len(points), -np.inf)
+    for some in np.array_split(np.arange(len(places)), max(1, len(places) // _PLACES_AT_ONCE)):
+        formed = tree.query_ball_point(places[some], about[some], return_sorted=True)
+        formed_at[some] = [rows[0] for rows in formed]
+        found = tree.query_ball_point(places[some], touched[some], return_sorted=False)
+        many = np.array([len(rows) for rows in found])
+        index = np.fromiter(itertools.chain.from_iterable(found), np.int64, int(many.sum()))
+        np.maximum.at(top, index, np.repeat(height[some], many))
     if one.begun > 0.0:
         formed_at[height >= claim.side * claim.start - one.begun - LOOP_FORMS * step] = -1
-    found = tree.query_ball_point(places, touched, return_sorted=False)
-    many = np.array([len(some) for some in found])
-    top = np.full(len(points), -np.inf)
-    index = np.fromiter(itertools.chain.from_iterable(found), np.int64, int(many.sum()))
-    np.maximum.at(top, index, np.repeat(height, many))
     return height, formed_at, top

@@ -293,6 +293,7 @@ def sheet(context: Context, forming: Forming) -> Outcome:
             own = dataclasses.replace(state, tolerance=allowed)
             begun = 0.0 if formed is None else formed.begun
             ahead = [] if formed is None else _ahead(forming, formed, own, number, held)
+            give_back()  # what that leaves free would count beside what is inside the tool
             asked.append(
                 (arm, allowed, *_all(formed, way, own, number, held, forming.begin, places, begun), ahead)
             )
