@@ -97,7 +97,7 @@ def trim_cut(context: Context, trimming: Trimming) -> Outcome:
             if left > worst:
                 worst, limit, where = left, mm(work.claim.tolerance + work.sheet.tolerance), curve.one.name
     if limit is None:
-        return Outcome(tuple(issues), where="" if issues else NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing="" if issues else NOTHING_TRIMMED)
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 
@@ -271,7 +271,7 @@ def trim_kept(context: Context, trimming: Trimming) -> Outcome:
             row = int(way.rows[i])
             issues.append(at_sample("verify.trim_kept", what, context.motion, work.claim.arm, row, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 
@@ -341,7 +341,7 @@ def trim_torch(context: Context, trimming: Trimming) -> Outcome:
                     at_sample("verify.trim_torch", f"in {key} {said}", context.motion, claim.arm, row)
                 )
     if not where:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
 
 
@@ -573,7 +573,7 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
             what += f"{100 * claim.least_feed:.0f} %"
             issues.append(Issue("verify.trim_feed", what, field=key, value=mean, limit=claim.least_feed))
     if not where:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
 
 
@@ -628,7 +628,7 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
             sample = int(work.track.rows[row])
             issues.append(at_sample("verify.trim_clear", what, context.motion, claim.arm, sample, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 

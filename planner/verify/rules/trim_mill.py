@@ -63,7 +63,7 @@ def trim_mill(context: Context, trimming: Trimming) -> Outcome:
                 worst, where = value, key
     issues += _dies(context, trimming)
     if not where:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
 
 
