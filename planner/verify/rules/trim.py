@@ -381,7 +381,7 @@ def trim_arc(context: Context, trimming: Trimming) -> Outcome:
             for i in dark[:1]:
                 what = f"{claim.signal} is off in {key}: nothing is cut there"
                 issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
-    return Outcome(tuple(issues), where=f"{count} slots" if torches else NOTHING_TRIMMED)
+    return Outcome(tuple(issues), where=f"{count} slots", nothing="" if torches else NOTHING_TRIMMED)
 
 
 def _under_way(work: TrimWork, begin: float, end: float) -> tuple[BoolArray, int]:
@@ -525,7 +525,9 @@ def trim_order(context: Context, trimming: Trimming) -> Outcome:
             if spans[a][1] > spans[b][0]:
                 what = f"{outer.one.name} is begun before {inner.one.name}, which lies in it, is cut"
                 issues.append(Issue("verify.trim_order", what, field=outer.one.name, arm=work.claim.arm))
-    return Outcome(tuple(issues), where=f"{pairs} within others" if trimming.works else NOTHING_TRIMMED)
+    return Outcome(
+        tuple(issues), where=f"{pairs} within others", nothing="" if pairs else "no outline within another"
+    )
 
 
 @rule("verify.trim_feed", TrimsSheet)
