@@ -34,7 +34,8 @@ NOISE = 6e-3
 @rule("verify.track_along")
 def track_along(context: Context) -> Outcome:
     """A track that goes along has at each target the value that its law has for where the tool is, with one
-    offset for all of an operation, and keeps its range, speed and acceleration everywhere."""
+    offset for all of an operation, and keeps its range, speed and acceleration everywhere; in KRL it goes no
+    faster than the share of its speed that is in force lets it."""
     issues: list[Issue] = []
     worst, where = 0.0, ""
     for index, riding in enumerate(context.riding):
