@@ -304,13 +304,13 @@ def _evened(fits: _Fits, price: FloatArray, places: list[_Place]) -> tuple[Elast
 
     How far a panel is off the surface along a joint is known when it is fitted, and the step is between two
     of them: no price of a panel alone says it. So panels at the worst joints are struck off, one at a time,
-    and the best of the divisions without is gone on from, until none has evener joints."""
+    and the best of the divisions without is gone on from, until none has fewer joints beyond the limit."""
     limit = fits.made.rules.joint
     panels = fits.panels(places)
     least = _unevenness(panels, limit)
     for _ in range(_MOST_EVENED):
         over = sorted((one for one in joints(panels) if one.step > limit), key=lambda one: -one.step)
-        tried: list[tuple[int, int, FloatArray, list[_Place]]] = []
+        tried: list[tuple[tuple[int, int], int, FloatArray, list[_Place]]] = []
         for k in dict.fromkeys(k for joint in over[:_WORST_JOINTS] for k in joint.panels):
             without = price.copy()
             without[places[k]] = np.inf
@@ -318,7 +318,7 @@ def _evened(fits: _Fits, price: FloatArray, places: list[_Place]) -> tuple[Elast
             if anew is not None:
                 tried.append((_unevenness(fits.panels(anew), limit), len(tried), without, anew))
         for uneven, _, without, anew in sorted(tried, key=lambda one: one[:2]):
-            if uneven >= least:
+            if uneven[0] >= least[0]:
                 return panels
             if all(fits.passes(place) for place in anew) and _unevenness(fits.panels(anew), limit) <= uneven:
                 least, price, places, panels = uneven, without, anew, fits.panels(anew)
@@ -328,11 +328,15 @@ def _evened(fits: _Fits, price: FloatArray, places: list[_Place]) -> tuple[Elast
     return panels
 
 
-def _unevenness(panels: Sequence[ElasticPanel], limit: float) -> int:
-    """How far joints are beyond the limit, in steps of misfits, added up; 0 without a limit."""
+def _unevenness(panels: Sequence[ElasticPanel], limit: float) -> tuple[int, int]:
+    """How many joints are beyond the limit, and how far joints are above what counts as even, in steps of
+    misfits, added up; nothing without a limit."""
     if not np.isfinite(limit):
-        return 0
-    return sum(max(0, round((joint.step - _LESS * limit) / MISFIT_STEP)) for joint in joints(panels))
+        return 0, 0
+    steps = [joint.step for joint in joints(panels)]
+    return sum(step > limit for step in steps), sum(
+        max(0, round((step - _LESS * limit) / MISFIT_STEP)) for step in steps
+    )
 
 
 def _tries(made: Search, found: Table, place: _Place) -> Iterator[ElasticPanel]:
