@@ -31,6 +31,7 @@ from planner.geometry.units import MM
 from planner.hotwire import wire as hot_wires
 from planner.hotwire.operation import Straight
 from planner.issues import Issue, TandemError
+from planner.problem import Settings
 from planner.reading import strict_yaml
 from planner.reading.cell import BowFile, RackFile
 from planner.reading.materials import WireFile, WiresFile, wires_at_hand
@@ -291,6 +292,13 @@ class CutBlocksFile(Strict):
     stand_mm: Annotated[
         float, Field(ge=50, le=2000, description="height of what pieces lie or stand on, at most")
     ] = 700.0
+    together: Annotated[
+        bool,
+        Field(
+            description="panels of a block are cut out of it together where its bow can: all faces on one "
+            "way, then round each of them"
+        ),
+    ] = False
 
 
 class ElementFile(Strict):
@@ -384,9 +392,12 @@ class Template:
 
 @dataclasses.dataclass(frozen=True)
 class SawTemplate(Template):
-    """A template for raw blocks, with the bow that it mounts."""
+    """A template for raw blocks, with the bow that it mounts, ``margin`` [m] of foam to the wire's ends and
+    to the beam, and ``clearance`` [m] of its settings."""
 
     bow: Bow
+    margin: float
+    clearance: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -586,7 +597,12 @@ def _saw(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawTemplate:
         if bow is not None:
             least = min(Straight.model_fields["kerf_range_mm"].default[0], 0.5 * kerf_mm)
             slot = {"kerf_range_mm": [least, kerf_mm]} if "power_w" in one else {"kerf_mm": kerf_mm}
-            return SawTemplate(WhenFile(), name, {**data, "operations": [{**one, **slot}]}, bow)
+            margin = float(one.get("margin_mm", Straight.model_fields["margin_mm"].default)) * MM
+            settings = data.get("settings")
+            stated = settings.get("clearance_mm") if isinstance(settings, dict) else None
+            clear = stated * MM if isinstance(stated, int | float) else Settings.clearance
+            whole = {**data, "operations": [{**one, **slot}]}
+            return SawTemplate(WhenFile(), name, whole, bow, margin, clear)
         wrong, hint = "mounts no bow on the first of its arms", "give that arm a tool of the kind bow"
     raise TandemError(Issue("element.jobs", f"{name} {wrong}", file=file, field="cut_blocks", hint=hint))
 
