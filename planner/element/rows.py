@@ -32,6 +32,7 @@ BEYOND: Final = 3e-3
 LEAST_BEARER: Final = 0.02
 """What bears a row is so long [m] at least in each place."""
 _BESIDE: Final = 0.005  # what is so far [m] beside a way in is out of it
+_WAYS: Final = 9  # of points of a wire that are looked at
 _STEP: Final = 1e-3  # between places that are looked at for what bears a row [m]
 
 
@@ -212,8 +213,7 @@ def _borne(
         for k, name in ((1, FRONTS), (0, BACKS)):
             each = [one.faces[k] for one in shapes if one.faces is not None]
             faces[name] = _one_way(each, places, float(half[1 - along]) - INSIDE)
-        lines = np.concatenate(faces[BACKS], axis=1)
-        found = _bearers([lines[0], lines[1]], along, 2, 0.0, half, limits.room)
+        found = _bearers(_between(np.concatenate(faces[BACKS], axis=1)), along, 2, 0.0, half, limits.room)
         if isinstance(found, float):
             return _near("foam_faces_mm", "as they lie", found, limits)
         beams = found
@@ -226,7 +226,8 @@ def _borne(
         beams = ((-float(half[along]), float(half[along])),)
     least = -np.inf
     for axis in axes:
-        rounds = [np.concatenate([side, side[:1]]) for ring in outlines for side in ring]
+        rings = [np.concatenate([ring, ring[:, :1]], axis=1) for ring in outlines]
+        rounds = [way for ring in rings for way in _between(ring)]
         feet = _bearers(rounds, 1 - axis, axis, -float(half[axis]), half, limits.room)
         if isinstance(feet, float):
             least = max(least, feet)
@@ -249,6 +250,12 @@ def _borne(
 def _near(field: str, how: str, least: float, limits: Limits) -> str:
     wanted = f"{limits.room / MM:g} mm are its room ({field})"
     return f"{how} the wire comes within {least / MM:.1f} mm of what bears them, and {wanted}"
+
+
+def _between(ends: FloatArray) -> list[FloatArray]:
+    """Ways (N, 3) of points of a wire from end to end of it, of ``ends`` (2, N, 3): one that leans may be
+    nearer to what bears a row in between than at both."""
+    return [ends[0] + share * (ends[1] - ends[0]) for share in np.linspace(0.0, 1.0, _WAYS).tolist()]
 
 
 def _bearers(
