@@ -31,11 +31,15 @@ def drawing(name: str, nesting: Nesting, panels: Sequence[PanelBlock], kerf: flo
     why = f" ({sure[nesting.least]})" if nesting.least else ""
     count = len(nesting.blocks)
     rows = any(block.rows for block in nesting.blocks)
-    round_them = "; light blue: parts that panels are cut out of together, along red outlines" if rows else ""
+    round_them = "panels are cut out of light blue parts together, along red outlines; " if rows else ""
     texts = [
         (28, 34, f"{name}: {count} blocks{why}, at least {nesting.bound} by area"),
         (18, 64, f"of the foam {volume:.0f} % are panels, {boxes:.0f} % the blocks that they are cut from"),
-        (18, 88, "red: cuts in their order, each through one whole part; beige: left over; mm" + round_them),
+        (
+            18,
+            88,
+            "red: cuts in their order, each through one whole part; beige: left over; " + round_them + "mm",
+        ),
     ]
     out = [
         f'<text x="0" y="{y}" font-size="{size}"{_BOLD if size > 20 else ""}>{escape(line)}</text>'

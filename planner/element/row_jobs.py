@@ -52,11 +52,12 @@ def row_files(
         name = job_name(block, number)
         flat = SawJob(name, row.part, block.size[2], 2, (), (), 0)
         edge = dataclasses.replace(flat, axis=row.axis, up=1)
+        lies = flat if row.faces else edge
         problem = _problem(element, template, block, row, flat, edge, stand)
         ids = " ".join(row.outlines)
-        head = f"# Panels {ids} of {element.file.name}, cut together out of {block.name}: {flat.said}. "
+        head = f"# Panels {ids} of {element.file.name}, cut together out of {block.name}: {lies.said}. "
         files[f"blocks/{name}.yaml"] = f"{head}Written by tandem element.\n" + strict_yaml.dump(problem)
-        data.append(_data(template, row, flat))
+        data.append(_data(template, row, lies))
     return files, data
 
 

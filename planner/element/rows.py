@@ -226,7 +226,7 @@ def _borne(
         beams = ((-float(half[along]), float(half[along])),)
     least = -np.inf
     for axis in axes:
-        rings = [np.concatenate([ring, ring[:, :1]], axis=1) for ring in outlines]
+        rings = [_to_faces(np.concatenate([ring, ring[:, :1]], axis=1), thickness) for ring in outlines]
         rounds = [way for ring in rings for way in _between(ring)]
         feet = _bearers(rounds, 1 - axis, axis, -float(half[axis]), half, limits.room)
         if isinstance(feet, float):
@@ -250,6 +250,13 @@ def _borne(
 def _near(field: str, how: str, least: float, limits: Limits) -> str:
     wanted = f"{limits.room / MM:g} mm are its room ({field})"
     return f"{how} the wire comes within {least / MM:.1f} mm of what bears them, and {wanted}"
+
+
+def _to_faces(ring: FloatArray, thickness: float) -> FloatArray:
+    """Where wires through the ends (2, N, 3) [m] come out of both faces of a row."""
+    way = ring[1] - ring[0]
+    shares = [(high - ring[0][:, 2]) / way[:, 2] for high in (0.0, thickness)]
+    return np.stack([ring[0] + share[:, None] * way for share in shares])
 
 
 def _between(ends: FloatArray) -> list[FloatArray]:
