@@ -213,6 +213,9 @@ def _borne(
         for k, name in ((1, FRONTS), (0, BACKS)):
             each = [one.faces[k] for one in shapes if one.faces is not None]
             faces[name] = _one_way(each, places, float(half[1 - along]) - INSIDE)
+            ends = [(float(one[..., along].min()), float(one[..., along].max())) for one in faces[name]]
+            if any(a[1] > b[0] - SAME for a, b in itertools.pairwise(sorted(ends))):
+                return "their faces, which go on beyond their sides, lie over one another"
         found = _bearers(_between(np.concatenate(faces[BACKS], axis=1)), along, 2, 0.0, half, limits.room)
         if isinstance(found, float):
             return _near("foam_faces_mm", "as they lie", found, limits)

@@ -56,11 +56,11 @@ def _lines(sizes: Sequence[tuple[float, float]], room: float, kerf: float) -> It
         waiting: list[tuple[float, tuple[int, ...], int]] = [(sizes[first][1], (first,), 0)]
         while waiting and looks < _MOST_PACKED:
             long, own, at = waiting.pop()
-            looks += 1
             if long > best[0] + _NOTHING:
                 best = long, own
             for i in reversed(range(at, len(left))):
                 more = long + kerf + sizes[left[i]][1]
+                looks += 1
                 if more <= room + _NOTHING:
                     waiting.append((more, (*own, left[i]), i + 1))
         left = [k for k in left if k not in best[1]]
