@@ -31,13 +31,12 @@ from planner.geometry.units import MM
 from planner.hotwire import wire as hot_wires
 from planner.hotwire.operation import Straight
 from planner.issues import Issue, TandemError
-from planner.problem import Settings
 from planner.reading import strict_yaml
 from planner.reading.cell import BowFile, RackFile
 from planner.reading.materials import WireFile, WiresFile, wires_at_hand
 from planner.reading.part_ruled import RuledFile, build_ruled
 from planner.reading.part_surfaces import FrontFile, check_size, surface, surface_patch
-from planner.reading.problem import resolved, validate
+from planner.reading.problem import SettingsFile, resolved, validate
 from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Vector
 
 LONGEST: Final = 200.0
@@ -600,7 +599,8 @@ def _saw(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawTemplate:
             margin = float(one.get("margin_mm", Straight.model_fields["margin_mm"].default)) * MM
             settings = data.get("settings")
             stated = settings.get("clearance_mm") if isinstance(settings, dict) else None
-            clear = stated * MM if isinstance(stated, int | float) else Settings.clearance
+            usual = SettingsFile.model_fields["clearance_mm"].default
+            clear = float(stated if isinstance(stated, int | float) else usual) * MM
             whole = {**data, "operations": [{**one, **slot}]}
             return SawTemplate(WhenFile(), name, whole, bow, margin, clear)
         wrong, hint = "mounts no bow on the first of its arms", "give that arm a tool of the kind bow"
