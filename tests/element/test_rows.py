@@ -210,6 +210,7 @@ def test_panels_that_are_no_row_are_told_why(
     assert why in alone[0]
 
 
+@pytest.mark.long
 def test_a_bow_without_room_is_named_for_each_panel(tmp_path: Path) -> None:
     run_element(ElementRequest(slab(tmp_path, bow=400.0), tmp_path / "out"))
     data = data_of(tmp_path / "out")
