@@ -22,7 +22,7 @@ from planner.element.elastic_panel import JOINT_SHARE, ElasticPanel, Joint, join
 from planner.element.element_file import LEAST_TOLERANCE_MM, ElasticElement, Element
 from planner.element.jobs import block_mm, block_pose, chosen_templates, cut_minutes, ids, panel_files
 from planner.element.nest import PanelBlock
-from planner.element.nested_output import nested_folder
+from planner.element.nested_output import AGAIN, nested_folder, rows_in
 from planner.element.surface import RIM
 from planner.geometry.arrays import FloatArray, IntArray, transform
 from planner.geometry.assembly import NONE, Slab, bodies_beyond, put_up
@@ -41,6 +41,7 @@ OWNED: Final = (
     "panels",
     "panels.csv",
     "panels.svg",
+    AGAIN,
     "blocks",
     "blocks.csv",
     "blocks.svg",
@@ -95,6 +96,12 @@ def finished(
     nest, dowels and issues; and all that is to be said. Raises ``TandemError``: ``element.raw_block``."""
     of_blocks, said, blocks = nested_folder(element, panels)
     files, more = {**files}, {}
+    cut_in = rows_in(blocks)
+    for panel in data["panels"]:
+        name = str(panel["id"])
+        if name in cut_in:
+            files[f"{AGAIN}/{name}.yaml"] = files.pop(f"panels/{name}.yaml")
+            panel |= {"cut_in": cut_in[name], "cut_min": {}}
     if element.file.dowels is not None:
         held = dowels.placed(element.file.dowels, up)
         poses = {panel["id"]: block_pose(panel) for panel in data["panels"]}
