@@ -14,11 +14,14 @@ from planner.forming.operation import Springback
 from planner.forming.process_plan import lay_all
 from planner.forming.springback.compensation import at_targets
 from planner.forming.springback.compensation_file import Compensation
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, transform
+from planner.geometry.curves import along, arc_length
 from planner.geometry.units import MM
 from planner.issues import TandemError
-from planner.scan import adjustment, deviation
+from planner.scan import adjustment, deviation, forming_rate
 from planner.scan.cloud import Cloud
+from planner.verify.forming import scan_field
+from planner.verify.forming.springback_file import Measured
 from tests.scan import rounds
 from tests.scan.rounds import GIVES_WAY, KINDS, Rounds, next_one
 
@@ -61,6 +64,32 @@ def test_what_comes_back_whole_is_no_stray_point(job: FormingJob) -> None:
     assert np.percentile(np.abs(off - depth[wall]), 98) < 0.1 * MM
     assert np.abs(off - depth[wall]).max() < 0.7 * MM
     assert 0.07 < found.stray / found.used < 0.13
+
+
+def test_the_proof_makes_the_same_of_a_wall_that_came_back_whole(
+    job: FormingJob, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By its own code, from points alone; and not of what leaves out how much was formed at once."""
+    cloud, marks = scan_of(job, np.minimum(LEVELS, 4.0 * MM)[:, None] * np.ones(24), 10)
+    size, mesh = job.setup.stock.size, job.part.formed.mesh  # type: ignore[union-attr]
+    pose, found = deviation.of_part(cloud, job.part, size, marks, True)
+    ((one, path),) = laid = lay_all(job.planned)
+    field = scan_field.Field(mesh, size, True, transform(pose.matrix, cloud.points))
+    said = Measured("", 1.0, True, pose.matrix, np.zeros((2, 0, 3)), 1.0, frozenset())
+    places = arc_length(path.former)
+    at = np.arange(0.0, places[-1], MM)
+    touch = along(path.contact.point, places, at)[:, :2]
+    radius = job.planned.heads[job.planned.former(one)].radius
+    none = (np.zeros(1), np.zeros(1))
+    least, most, share = scan_field.shifts(field, said, none, one.side, touch, at, radius, 0.05)
+    assert share == 1.0
+    for exponent in (forming_rate.EXPONENT, 0.0):
+        monkeypatch.setattr(forming_rate, "EXPONENT", exponent)
+        limits = Springback(file=Path("a.json"))
+        (made,) = adjustment.adjusted(job.planned, laid, None, found, True, 1.0, limits)
+        got = np.interp(at, arc_length(made.way.point), made.way.shift)
+        off = np.abs(got - np.clip(got, least, most))
+        assert bool((off < 0.1 * MM + 0.05 * got + 0.025 * MM).all()) == (exponent > 0.0)
 
 
 def test_the_gain_is_the_share_that_is_made_up_for(job: FormingJob) -> None:
