@@ -38,6 +38,7 @@ from planner.scan.deviation import Deviation
 from planner.scan.registration import Pose
 from tests import small_forming
 from tests.forming.shapes import pit
+from tests.scan import rounds
 from tests.scan.made_scan import MadeScan, made_scan, write_marks, write_ply
 
 GOAL_S, GOAL_MB = 15.0, 1500.0
@@ -56,6 +57,15 @@ TURNED: Final = 0.5 * DEG
 ABOVE: Final = 2.0 * MM
 LEANS: Final = (0.3 * DEG, -0.2 * DEG)
 """and how high and how tilted all of them are."""
+ROUNDS: Final = (
+    ("cone", "cone", 0.18, range(31, 36)),
+    ("pyramid", "pyramid", 0.18, range(31, 33)),
+    ("flat cone of a soft sheet", "flat cone, soft sheet", 0.18, range(31, 33)),
+    ("steep cone of a stiff sheet", "steep cone, stiff sheet", 0.18, range(31, 33)),
+    ("cone, force not by the step (0.03)", "cone", 0.03, range(31, 33)),
+    ("cone, force more by the step (0.4)", "cone", 0.4, range(31, 33)),
+)
+"""Parts that are formed again and again: of what, exponent of the force in the step, seeds of sheets."""
 PEER_POINTS: Final = 200_000
 """Points of the wanted shape that peers are given."""
 PEER_CELL_MM: Final = 0.5
@@ -153,7 +163,7 @@ def error(job: Job, made: MadeScan, matrix: FloatArray, found: Deviation) -> Err
 
 def run() -> list[dict[str, Any]]:
     """Rows of processor time [s], memory [MB], errors [mm] and [deg]."""
-    return [*commands(), *with_marks(), *without_marks(), *beside_peers()]
+    return [*commands(), *with_marks(), *without_marks(), *adjusted(), *beside_peers()]
 
 
 def commands() -> Iterator[dict[str, Any]]:
@@ -295,6 +305,38 @@ def without_marks() -> Iterator[dict[str, Any]]:
             "median_s": one.field / MM,
             "note": note,
         }
+
+
+def adjusted() -> Iterator[dict[str, Any]]:
+    """What three rounds of forming, scanning and adjusting leave below the first 3 mm, of sheets whose truth
+    is known; and what the third changes."""
+    for name, kind, exponent, seeds in ROUNDS:
+        with tempfile.TemporaryDirectory() as folder:
+            made = rounds.Rounds(
+                rounds.job_of(Path(folder), rounds.KINDS[kind]), rounds.KINDS[kind], exponent
+            )
+        left = np.array([made.run(seed, 3) for seed in seeds])[:, :, rounds.GIVES_WAY :] / MM
+        for k in (1, 2, 3):
+            yield {
+                "name": f"adjusted, {name}: round {k}, mm, mean",
+                "median_s": _mean(left[:, k]),
+                "note": _left(left, k),
+            }
+
+
+def _mean(left: FloatArray) -> float:
+    return float(np.abs(left).mean(axis=(1, 2)).max())
+
+
+def _left(left: FloatArray, k: int) -> str:
+    """What is left (S, R, L, P) [mm] of round k, the worst of all sheets, and by how much it changed."""
+    now = np.abs(left[:, k]).reshape(len(left), -1)
+    changed = np.abs(left[:, k] - left[:, k - 1]).reshape(len(left), -1)
+    high, steps = np.percentile(now, 95, axis=1).max(), np.percentile(changed, 95, axis=1).max()
+    return (
+        f"worst of {len(left)} sheets; 95 % {high:.3f}, at most {now.max():.3f}; changed by {steps:.3f} "
+        f"(95 %), {changed.max():.3f}"
+    )
 
 
 Fit = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]

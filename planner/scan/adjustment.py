@@ -3,11 +3,13 @@
 Of a part that was formed with the commanded way C, whose scan is off the wanted face by d along its normal,
 too shallow by e = d / cos a along z on a wall of angle a, the next one is formed with
 
-    C' = C + g e,
+    C' = C + g (e + m),
 
-g the gain (a displacement adjustment, as springback is compensated in die design). e is averaged over the
-ball's width, and what comes out is limited in slope as every springback file is. What is formed in a pass
-whose face is not the part's own is not on the scan: its tools go as they went.
+g the gain (a displacement adjustment, as springback is compensated in die design), and m what comes back
+more, or less, of a part that is formed as it is wanted (`planner.scan.forming_rate`): C, e and the wall above
+say that. Both are averaged over the ball's width, and what comes out is limited in slope as every springback
+file is. What is formed in a pass whose face is not the part's own is not on the scan: its tools go as they
+went.
 """
 
 from __future__ import annotations
@@ -32,11 +34,12 @@ from planner.forming.springback.compensation_file import (
     sealed,
     way_lines,
 )
-from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.arrays import BoolArray, FloatArray, unit
 from planner.geometry.curves import arc_length
 from planner.geometry.mesh_queries import Nearness
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.scan import forming_rate
 from planner.scan.cloud import Cloud
 from planner.scan.deviation import SPACING, Deviation
 from planner.scan.registration import Pose
@@ -113,21 +116,37 @@ def _adjusted(
     places = arc_length(path.former)
     went = np.zeros(len(places)) if before is None else at_targets(before, path)
 
+    def short(contact: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How much too shallow the part was, NaN where that is not known, and what tools are to go deeper."""
+        off = one.side * found.along_z(contact + lift)
+        known = _filled(off, at)
+        back = np.interp(at, places, went) + known
+        normal = unit(np.column_stack([np.interp(at, places, each) for each in path.contact.normal.T]))
+        above = found.nearest(contact + lift + forming_rate.up_the_wall(normal, one.side))
+        less = _filled(off - one.side * found.along_z(above), at)
+        drop = one.side * (above - contact - lift)[:, 2]
+        return off, known + forming_rate.as_wanted(back, less, drop)
+
     def asked(contact: FloatArray, _: FloatArray, at: FloatArray) -> FloatArray:
         value = np.interp(at, places, went)
         if not gain:
             return value
-        off = one.side * found.along_z(contact + lift)
-        seen = np.isfinite(off)
-        _require_seen(one, seen, contact)
-        off = np.interp(at, at[seen], off[seen])
-        return np.asarray(value + gain * smoothed(off, radius / max(float(at[1]), 1e-12)))
+        off, more = short(contact, at)
+        _require_seen(one, np.isfinite(off), contact)
+        return np.asarray(value + gain * smoothed(more, radius / max(float(at[1]), 1e-12)))
 
     way, _ = way_of(one.name, path, radius, asked, limits.slope)
-    off = np.full(len(places), np.nan)
+    off = more = np.full(len(places), np.nan)
     if gain:
-        off = one.side * found.along_z(path.contact.point + lift)
-    return Adjusted(way, path.contact.point, off, off - (at_targets(way, path) - went), gain != 0.0)
+        off, more = short(path.contact.point, places)
+        more = np.where(np.isfinite(off), more, np.nan)
+    return Adjusted(way, path.contact.point, off, more - (at_targets(way, path) - went), gain != 0.0)
+
+
+def _filled(value: FloatArray, at: FloatArray) -> FloatArray:
+    """Values (N,) at places ``at`` (N,) [m] of a way, straight where they are not known; 0 if none is."""
+    known = np.isfinite(value)
+    return np.interp(at, at[known], value[known]) if known.any() else np.zeros(len(at))
 
 
 def _require_seen(one: Pass, seen: BoolArray, contact: FloatArray) -> None:

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from planner.align.probing import ProbedPoints
-from planner.geometry.arrays import FloatArray, IntArray, transform
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths, transform
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, small_pieces
 from planner.geometry.mesh_queries import Nearness
 from planner.geometry.units import DEG, MM
@@ -47,6 +47,15 @@ NEAREST: Final = 31
 """Of them so many, the nearest."""
 LEAST_FEET: Final = 5
 """Places with fewer feet are not known."""
+LEAST_PLANE: Final = 12
+ONE_SIDE: Final = 0.5 * MM
+"""Of so many feet a plane is taken, where their middle is no farther off [m]; else their median."""
+PLANE_ROUNDS: Final = 5
+WIDE: Final = 2.0
+LEAST_SCALE: Final = 1e-6
+"""Rounds of its fit; feet that are so many standard deviations off, and so much [m], count a quarter."""
+RIDGE: Final = 1e-3
+"""A tilt is held to 0 by this share of what feet at `AROUND` would hold it by."""
 SPREAD: Final = 5.0
 """Nor are those whose feet are off their median by more than so many times what is usual,"""
 LEAST_SPREAD: Final = 0.05 * MM
@@ -111,7 +120,11 @@ class Deviation:
         """How far (N,) [m] the scan is above the face, along z, at places (N, 3) [m] of it; NaN where that is
         not known."""
         tree, above = self._heights
-        return _medians(tree, above, points)
+        return _around(tree, above, points).value
+
+    def nearest(self, points: FloatArray) -> FloatArray:
+        """The nearest places (N, 3) [m] of the face to points (N, 3) [m]."""
+        return _feet(self.face, points)[0]
 
     @functools.cached_property
     def _heights(self) -> tuple[KDTree, FloatArray]:
@@ -167,17 +180,20 @@ def deviation(points: FloatArray, pose: Pose, face: TriangleMesh, level: float) 
     place, normal, spacing = _places(face)
     _require_part(face, there[near], foot, distance, _share_of_depth(place, there[near], level), level)
     tree = KDTree(foot)
-    off = _medians(tree, distance, place)
+    found = _around(tree, distance, place)
+    off = found.value
     known = np.isfinite(off)
     if known.mean() < LEAST_SHARE:
         share = f"{100.0 * known.mean():.0f} % of the wanted face"
         what = f"the scan shows {share}, allowed {100.0 * LEAST_SHARE:g} % or more"
         raise TandemError(Issue("scan.other_part", what, hint="scan the whole part, from the side of --face"))
     _require_shape(place[known], normal[known], off[known], level)
-    around = off[known][KDTree(place[known]).query(foot)[1]]
-    rest = np.abs(distance - around)
+    nearest = np.flatnonzero(known)[KDTree(place[known]).query(foot)[1]]
+    # what comes back may change by as much as the way along the wall: a place's is none of a foot's
+    beside = foot - place[nearest]
+    rest = np.abs(distance - off[nearest] - dots(found.tilt[nearest], beside))
     noise = MAD * float(np.median(rest))
-    stray = rest > max(STRAY * noise, LEAST_STRAY)
+    stray = rest > np.maximum(max(STRAY * noise, LEAST_STRAY), SPREAD * found.spread[nearest])
     return Deviation(
         face,
         place,
@@ -227,22 +243,66 @@ def _places(face: TriangleMesh) -> tuple[FloatArray, FloatArray, float]:
     return middle[first], normal[owner[first]], spacing
 
 
-def _medians(tree: KDTree, value: FloatArray, places: FloatArray) -> FloatArray:
-    """Medians (M,) of the values of the nearest feet around places (M, 3), NaN where there are few."""
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Around:
+    """What feet around M places make there: ``value`` (M,), NaN where that is not known, its ``tilt`` (M, 3)
+    from there on, and the median (M,) of how far feet are off, ``spread``."""
+
+    value: FloatArray
+    tilt: FloatArray
+    spread: FloatArray
+
+
+def _around(tree: KDTree, value: FloatArray, places: FloatArray) -> _Around:
+    """What the ``value`` (K,) of the nearest feet around places (M, 3) makes there: a plane through them in
+    which those that are off count little, or their median, of few or where all are to one side."""
     out, spread = np.full(len(places), np.nan), np.full(len(places), np.inf)
+    tilt = np.zeros((len(places), 3))
     count = min(NEAREST, len(value))
     for begin in range(0, len(places) if count else 0, AT_ONCE):
-        some = slice(begin, begin + AT_ONCE)
-        _, found = tree.query(places[some], k=[*range(1, count + 1)], distance_upper_bound=AROUND)
-        there = found < len(value)
-        near = np.where(there, value[np.minimum(found, len(value) - 1)], np.nan)
-        rows = np.flatnonzero(there.sum(axis=1) >= LEAST_FEET)
+        some = places[begin : begin + AT_ONCE]
+        _, found = tree.query(some, k=[*range(1, count + 1)], distance_upper_bound=AROUND)
+        there: BoolArray = np.asarray(found < len(value))
+        found = np.minimum(found, len(value) - 1)
+        near = np.where(there, value[found], np.nan)
+        beside = np.where(there[:, :, None], tree.data[found] - some[:, None], 0.0)
+        feet = there.sum(axis=1)
+        rows = np.flatnonzero(feet >= LEAST_FEET)
         middle = np.nanmedian(near[rows], axis=1)
         out[begin + rows] = middle
         spread[begin + rows] = np.nanmedian(np.abs(near[rows] - middle[:, None]), axis=1)
+        rows = np.flatnonzero(feet >= LEAST_PLANE)
+        height, tilt[begin + rows], spread[begin + rows] = _plane(beside[rows], near[rows])
+        # where all of them are to one side a plane says of a hole what is not known
+        even = lengths(beside[rows].sum(axis=1)) <= ONE_SIDE * feet[rows]
+        out[begin + rows[even]] = height[even]
     # in a hole there are stray points alone, which agree on nothing
     out[spread > SPREAD * float(np.median(spread)) + LEAST_SPREAD] = np.nan
-    return out
+    return _Around(out, tilt, spread)
+
+
+def _plane(beside: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The height (M,) at their middle of planes through ``value`` (M, K), NaN where there is none, at places
+    ``beside`` (M, K, 3) [m] of it, their tilts (M, 3), and the median (M,) of how far values are off: least
+    squares, again and again with the weights of Geman and McClure."""
+    there: BoolArray = np.asarray(np.isfinite(value))
+    known = np.where(there, value, 0.0)
+    column = np.concatenate([np.ones((*value.shape, 1)), beside / AROUND], axis=2)
+    off = known - np.nanmedian(value, axis=1)[:, None]
+    found = np.zeros((len(value), 4))
+    for _ in range(PLANE_ROUNDS):
+        weight = there / (1.0 + (off / (WIDE * MAD * _typical(off, there)[:, None])) ** 2) ** 2
+        whole = np.einsum("mk,mki,mkj->mij", weight, column, column)
+        # feet lie on a face: along its normal they say nothing
+        whole += RIDGE * weight.sum(axis=1)[:, None, None] * np.diag([0.0, 1.0, 1.0, 1.0])
+        right = np.einsum("mk,mki,mk->mi", weight, column, known)
+        found = np.linalg.solve(whole, right[:, :, None])[:, :, 0]
+        off = known - np.einsum("mki,mi->mk", column, found)
+    return found[:, 0], found[:, 1:] / AROUND, _typical(off, there)
+
+
+def _typical(off: FloatArray, there: BoolArray) -> FloatArray:
+    return np.asarray(np.nanmedian(np.where(there, np.abs(off), np.nan), axis=1) + LEAST_SCALE)
 
 
 def _holes(bare: FloatArray, spacing: float) -> list[Hole]:

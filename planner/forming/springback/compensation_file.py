@@ -28,7 +28,7 @@ from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Stock
 
-VERSIONS: Final = {"tandem_springback": 2, "tandem_adjustment": 1, "tandem_level": 1}
+VERSIONS: Final = {"tandem_springback": 2, "tandem_adjustment": 2, "tandem_level": 1}
 """Numbers of the files' forms, by what files have them with."""
 KINDS: Final = {
     "tandem_springback": "springback file",

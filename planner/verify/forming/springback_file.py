@@ -225,7 +225,7 @@ def read_level(path: Path) -> GivenLevel:
 def read(path: Path) -> Given:
     """Read a file. Raises ``ValueError``: what is wrong with it."""
     data = _sealed(path)
-    if isinstance(data, dict) and data.get("tandem_adjustment") == 1:
+    if isinstance(data, dict) and data.get("tandem_adjustment") == 2:
         return _adjustment(data)
     if not isinstance(data, dict) or data.get("tandem_springback") != 2:
         raise ValueError("it is of another version")

@@ -357,14 +357,15 @@ def _by_scan(
     got = np.interp(at, springback_bounds.gone(way.point), way.shift)
     slope = float(one.operation.springback.slope)
     if own:
-        wanted, share = scan_field.shifts(
+        least, most, share = scan_field.shifts(
             field, said, went, claim.side, touch[:, :2], at, claim.radius, slope
         )
         if share < LEAST_SEEN:
             what = f"its scan shows {100.0 * share:.0f} % of the way of {name}"
             return np.inf, [_issue(one, what, 100.0 * share, 100.0 * LEAST_SEEN, "%")]
     else:
-        wanted = np.interp(at, *went)
+        least = most = np.interp(at, *went)
+    wanted = np.clip(got, least, most)
     off = np.abs(got - wanted)
     slack = SCAN_OFF + BETWEEN * np.abs(wanted) + 0.5 * slope * STEP
     k = int(np.argmax(off / slack))
