@@ -79,7 +79,7 @@ def test_seven_joints_are_driven_along_poses_and_proven(tmp_path):
     assert name == "small.trajectory.jsonl"
     t, q, v = points(text)
     assert q.shape[1] == 7 and (np.diff(t) > 0.0).all() and not v[-1].any()
-    # the tool on the cubics of the text, by the URDF's product of exponentials, goes straight from pose to pose
+    # the tool on the cubics of the text goes straight from pose to pose, by the URDF alone
     chain, arm = read_chain(seven.TEXTS["panda"], *TIP), problem.cell.arms[0]
     here = made.plan.operations[0].q["left"]
     ends = chain.tip(here) @ arm.tool.tcp
