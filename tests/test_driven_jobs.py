@@ -16,7 +16,7 @@ from planner.geometry.arrays import inverse, log_rotation
 from planner.issues import TandemError
 from planner.loading import proven
 from planner.post import write
-from planner.post.trajectories import program
+from planner.post.trajectories import curves, program
 from planner.reading.urdf import read_chain
 from planner.report import setup_sheet
 from tests import test_seven_axes_jobs as seven
@@ -186,18 +186,24 @@ def test_tracks_and_sag_are_refused(tmp_path):
             loaded(tmp_path, source)
 
 
-def test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps():
-    from planner.post.trajectories import curves
-
+def test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps(monkeypatch):
     arm = driven_job.bow_problem().cell.arms[0]
     one = curves.Driven(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
     q = straight_job.plan(12).operations[0].q["left"][:3].copy()
-    q[2] = q[0] + 1e-3  # back again: a corner, at a speed at which it takes more than there is
-    took = np.array([0.02, 0.02])
-    made = curves.curve([one], q, took, np.array([True, True]), 0.25)
-    assert made.t[-1] > 0.04 and not made.v[[0, -1]].any()
-    stopped = np.flatnonzero(~made.v.any(axis=1))
-    assert len(stopped) == 3
+    q[2] = q[0] + 1e-3  # back again
+    took = np.array([0.3, 0.3])
+    with monkeypatch.context() as patched:
+        patched.setattr(curves, "_ROUNDS", 1)
+        with pytest.raises(curves.NotKeptError, match="points do not keep the way"):
+            curves.curve([one], q, took, np.array([False, True]), 0.25)
+        made = curves.curve([one], q, took, np.array([True, True]), 0.25)
+    assert np.count_nonzero(~made.v.any(axis=1)) == 3
+    with monkeypatch.context() as patched:
+        patched.setattr(curves, "KEPT", 1e-12)
+        with pytest.raises(TandemError) as caught:
+            write.programs(straight_job.plan(12), driven_job.bow_problem())
+    (issue,) = caught.value.issues
+    assert issue.code == "post.trajectory" and "top" in issue.message and "stop" in issue.hint
 
 
 def test_arms_of_any_family_may_be_driven():

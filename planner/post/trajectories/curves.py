@@ -23,6 +23,8 @@ KEPT: Final = 0.05e-3
 """How far [m] a tool may leave the straight way between two points,"""
 KEPT_TURN: Final = float(np.deg2rad(0.05))
 """and how far [rad] it may be turned off it."""
+UNEVEN: Final = 2.4
+"""How many times as fast as in the mean it may go between them."""
 LEAST_TIME: Final = 0.006
 """Least time [s] between two points: most controllers of this kind run at 100 to 1000 Hz."""
 SPEED_USED: Final = 0.97
@@ -35,8 +37,12 @@ CORNER_SHARE: Final = 0.25
 """which takes at most so much of the moves beside it."""
 _SHARES: Final = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
 """Where between two points the way is looked at."""
-_ROUNDS: Final = 12
-"""Times points are set between."""
+_ROUNDS: Final = 16
+"""Times points are set between,"""
+_ALONE: Final = 2
+"""the first of them only where the tool leaves the way,"""
+_BESIDE: Final = 3
+"""then in so many ways on either side, too."""
 _STRETCHES: Final = 60
 """Times points are moved to later."""
 _STEPS: Final = 12
@@ -127,19 +133,36 @@ def _from_rest(
     span = np.maximum(duration, LEAST_TIME)
     points = _Points(q, span, np.arange(-1, count), np.zeros(count + 1, dtype=np.bool_))
     points = _with_corners(arms, points, even)
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         points, v = _timed(arms, points, tcp_speed)
         far = _far(arms, points.q, points.span, v)
         if not far.any():
+            uneven = np.flatnonzero(_uneven(arms, points, v))
+            if len(uneven):
+                row = int(points.end[uneven[0] + 1])
+                raise NotKeptError(
+                    row, "between two points the tool would go back, or far faster than its feed"
+                )
             return Curve(np.append(0.0, np.cumsum(points.span)), points.q, v, points.end)
         short = np.flatnonzero(far & (points.span < 2.0 * LEAST_TIME))
         if len(short):
             row = int(points.end[short[0] + 1])
             raise NotKeptError(row, "points would have to follow one another too fast to keep the way")
-        points = _between(arms, points, v, np.flatnonzero(far))
+        wide = far if number < _ALONE else _widened(points, far)
+        points = _between(arms, points, v, np.flatnonzero(wide))
     raise NotKeptError(
         int(points.end[np.flatnonzero(far)[0] + 1]), f"{len(points.q)} points do not keep the way"
     )
+
+
+def _widened(points: _Points, far: BoolArray) -> BoolArray:
+    """The ways ``far`` (P - 1,) with those beside them that points may be set in: where a way alone is
+    halved, the spline swings on to the next one."""
+    near = np.zeros(len(far), dtype=np.bool_)
+    beside = np.flatnonzero(far)[:, None] + np.arange(-_BESIDE, _BESIDE + 1)
+    near[np.clip(beside, 0, len(far) - 1)] = True
+    free = (points.span >= 2.0 * LEAST_TIME) & ~(points.corner[:-1] | points.corner[1:])
+    return np.asarray(far | (near & free))
 
 
 def _with_corners(arms: Sequence[Driven], points: _Points, even: bool) -> _Points:
@@ -289,6 +312,21 @@ def _far(arms: Sequence[Driven], q: FloatArray, span: FloatArray, v: FloatArray)
         off = np.linalg.norm(here[..., :3, 3] - wanted[..., :3, 3], axis=2)
         turned = log_rotation(np.swapaxes(wanted[..., :3, :3], -1, -2) @ here[..., :3, :3])
         out |= (off > KEPT).any(axis=1) | (np.linalg.norm(turned, axis=2) > KEPT_TURN).any(axis=1)
+    return out
+
+
+def _uneven(arms: Sequence[Driven], points: _Points, v: FloatArray) -> BoolArray:
+    """Between which points (P - 1,) a tool goes back, or faster than :data:`UNEVEN` times as in the mean."""
+    out = np.zeros(len(points.span), dtype=np.bool_)
+    way = _at(points.q, points.span, v, np.linspace(0.0, 1.0, 9))
+    for arm in arms:
+        place = arm.tool(way)[..., :3, 3]
+        whole = place[:, -1] - place[:, 0]
+        length = np.linalg.norm(whole, axis=1)
+        steps = np.diff(place, axis=1)
+        along = (steps * whole[:, None]).sum(axis=2) / np.maximum(length, 1e-9)[:, None]
+        fast = 8.0 * np.linalg.norm(steps, axis=2).max(axis=1) > UNEVEN * length
+        out |= (length > 0.5 * KEPT) & (fast | (along.min(axis=1) < -0.2 * KEPT))
     return out
 
 

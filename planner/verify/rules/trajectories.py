@@ -10,8 +10,10 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray, dots, exp_rotation, log_rotation
 from planner.issues import Issue
-from planner.verify.context import Context, Outcome, at_sample, mm, rule
+from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.job import TaskText
+from planner.verify.programs.steps import JointTarget, MoveStep, PassedTarget
+from planner.verify.replay.arm_model import machine_of
 from planner.verify.rules.setups_and_frames import HOME_ERROR
 from planner.verify.trajectories.rows import (
     AskRow,
@@ -32,6 +34,15 @@ BETWEEN: Final = 0.1e-3
 """How far [m] a tool may leave the straight way from point to point,"""
 BETWEEN_TURN: Final = float(np.deg2rad(0.1))
 """and how far [rad] it may be turned off it."""
+UNEVEN: Final = 2.5
+"""How many times as fast as in the mean a tool may go between two points; a cubic that speeds up evenly from
+rest reaches twice that."""
+_PIECES: Final = 8
+"""Pieces of the way between two points at which its evenness is looked at."""
+_BACK: Final = 0.02e-3
+"""How far [m] a tool may go back in one of them,"""
+_STANDS: Final = 0.1e-3
+"""where points are farther apart than this [m]."""
 _ROUNDED: Final = 1.0 + 1e-6
 _NONE: Final = "no trajectories"
 _AT_ONCE: Final = 16_384
@@ -147,7 +158,8 @@ def power_on_failure(context: Context) -> Outcome:
 @rule("verify.between_points")
 def between_points(context: Context) -> Outcome:
     """Trajectories: between two points of work the cubic in joint space keeps the tool on the straight way
-    from one to the other, within 0.1 mm and 0.1 degrees."""
+    from one to the other, within 0.1 mm and 0.1 degrees; it never goes back, and goes at most 2.5 times as
+    fast as in the mean."""
     issues: list[Issue] = []
     code, worst, found = "verify.between_points", 0.0, False
     motion = context.motion
@@ -156,6 +168,7 @@ def between_points(context: Context) -> Outcome:
             continue
         arm, found = task.arm.name, True
         work, before = _work(context, task)
+        issues += _uneven(context, task)
         looks = motion.looks
         rows = np.flatnonzero(work[looks.node])
         for first in range(0, len(rows), _AT_ONCE):
@@ -173,6 +186,44 @@ def between_points(context: Context) -> Outcome:
                 measure = (mm(float(off[k])), mm(BETWEEN), "mm")
                 issues.append(at_sample(code, what, motion, arm, int(looks.sample[some[k]]), measure))
     return Outcome(tuple(issues), mm(worst), mm(BETWEEN), "mm", "" if found else _NONE)
+
+
+def _uneven(context: Context, task: TaskText) -> list[Issue]:
+    """Points before which the tool goes back on its way, or far faster than in the mean: rules on feeds see
+    it from station to station alone."""
+    out: list[Issue] = []
+    machine = machine_of(task.arm.data)
+    here, moves = task.arm.home, [step for step in task.steps if isinstance(step, MoveStep)]
+    rate = np.zeros(task.arm.data.axes)
+    pieces: list[tuple[MoveStep, FloatArray]] = []
+    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
+    ease = share**2 * (3.0 - 2.0 * share)
+    for move in moves:
+        if isinstance(move.target, PassedTarget):
+            end, span, ends = move.target.joints, move.time or 0.0, move.target.rates
+            q = here + ease * (end - here)
+            q = q + span * share * (1.0 - share) * ((1.0 - share) * rate - share * ends)
+            pieces.append((move, q))
+            here, rate = end, ends
+        elif isinstance(move.target, JointTarget):
+            here, rate = task.arm.data.from_controller(move.target.joints), np.zeros(task.arm.data.axes)
+    for first in range(0, len(pieces), _AT_ONCE // _PIECES):
+        some = pieces[first : first + _AT_ONCE // _PIECES]
+        tools = np.array([move.tool.pose for move, _ in some])[:, None]
+        place = (machine.flange(np.array([q for _, q in some])) @ tools)[..., :3, 3]
+        way = place[:, -1] - place[:, 0]
+        length = np.linalg.norm(way, axis=1)
+        steps = np.diff(place, axis=1)
+        along = np.einsum("spi,si->sp", steps, way) / np.maximum(length, 1e-9)[:, None]
+        fast = np.linalg.norm(steps, axis=2).max(axis=1) * _PIECES
+        goes = length > _STANDS
+        bad = goes & ((along.min(axis=1) < -_BACK) | (fast > UNEVEN * length))
+        for k in np.flatnonzero(bad)[:20].tolist():
+            times, back = fast[k] / length[k], mm(max(0.0, -float(along[k].min())))
+            what = f"before this point the tool of {task.arm.name} goes {times:.1f} times as fast as in the "
+            what += f"mean, and back by {back:.3f} mm; allowed: {UNEVEN:g} times, and {mm(_BACK):g} mm"
+            out.append(at_step("verify.between_points", what, task, some[k][0]))
+    return out
 
 
 def _work(context: Context, task: TaskText) -> tuple[FloatArray, FloatArray]:
