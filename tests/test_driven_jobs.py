@@ -193,7 +193,7 @@ def test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps(monkeypatch):
     q[2] = q[0] + 1e-3  # back again
     took = np.array([0.3, 0.3])
     with monkeypatch.context() as patched:
-        patched.setattr(curves, "_ROUNDS", 1)
+        patched.setattr(curves, "_ROUNDS", 2)
         with pytest.raises(curves.NotKeptError, match="points do not keep the way"):
             curves.curve([one], q, took, np.array([False, True]), 0.25)
         made = curves.curve([one], q, took, np.array([True, True]), 0.25)
