@@ -71,8 +71,10 @@ def unknown_start(context: Context) -> Outcome:
         for move in moves if task.rapid else ():
             found += [at_step(UNKNOWN_START, fault, task, move) for fault in _stated(move)]
     words = "; ".join(f"{stated} ({', '.join(arms)})" for stated, arms in told.items())
-    where = f"start not known: at most {words}" if told else "nothing moves"
-    return Outcome(tuple(found), 100.0 * worst, 100.0, "% of the speed allowed", where)
+    looked = any(task.trajectory is not None for task in context.job.tasks)
+    none = "each move begins where it was looked at" if looked else "nothing moves"
+    where, nothing = f"start not known: at most {words}", "" if told else none
+    return Outcome(tuple(found), 100.0 * worst, 100.0, "% of the speed allowed", where, nothing)
 
 
 def _rapid(move: MoveStep, limit: float) -> tuple[float, list[str]]:
@@ -148,7 +150,7 @@ def undo(context: Context) -> Outcome:
                     )
                     for fault in faults
                 ]
-    return Outcome(tuple(issues), where="" if wanted else "no power and no block")
+    return Outcome(tuple(issues), nothing="" if wanted else "no power and no block")
 
 
 def powers(context: Context, task: TaskText) -> list[str]:

@@ -91,8 +91,8 @@ def start_posture(context: Context) -> Outcome:
                     )
                 here, allowed = np.array(row.points[-1].q), SAME_POSTURE
             before = row
-    where = "" if limit else _NONE
-    return Outcome(tuple(issues), float(np.rad2deg(worst)), float(np.rad2deg(limit)), "deg", where)
+    measure = float(np.rad2deg(worst)), float(np.rad2deg(limit)), "deg"
+    return Outcome(tuple(issues), *measure, nothing="" if limit else _NONE)
 
 
 @rule("verify.goal_tolerances")
@@ -124,7 +124,7 @@ def goal_tolerances(context: Context) -> Outcome:
                     f"the goal may be {row.goal_time:g} s late; allowed: above 0, to {controller.goal_time:g}"
                 )
                 issues.append(_at(code, what, program, row))
-    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the cell's", "" if found else _NONE)
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the cell's", nothing="" if found else _NONE)
 
 
 @rule("verify.power_on_failure")
@@ -152,7 +152,8 @@ def power_on_failure(context: Context) -> Outcome:
         if on:
             what = f"{', '.join(on.values())} is on at the end of the file"
             issues.append(_at(code, what, program, program.rows[-1]))
-    return Outcome(tuple(issues), float(len(issues)), 0.0, "steps", f"{looked} steps" if looked else _NONE)
+    told = f"{looked} steps", "" if looked else _NONE
+    return Outcome(tuple(issues), float(len(issues)), 0.0, "steps", *told)
 
 
 @rule("verify.between_points")
@@ -185,7 +186,7 @@ def between_points(context: Context) -> Outcome:
                 what += f"{np.rad2deg(BETWEEN_TURN):g} deg"
                 measure = (mm(float(off[k])), mm(BETWEEN), "mm")
                 issues.append(at_sample(code, what, motion, arm, int(looks.sample[some[k]]), measure))
-    return Outcome(tuple(issues), mm(worst), mm(BETWEEN), "mm", "" if found else _NONE)
+    return Outcome(tuple(issues), mm(worst), mm(BETWEEN), "mm", nothing="" if found else _NONE)
 
 
 def _uneven(context: Context, task: TaskText) -> list[Issue]:
