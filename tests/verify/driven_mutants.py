@@ -295,6 +295,12 @@ def another_output_that_is_switched(rng, programs):
     return changed(programs, i, set="doCoolant")
 
 
+@mutator("verify.names")
+def an_output_spelt_otherwise_where_it_goes_off(rng, programs):
+    rows = rows_of(programs)
+    return changed(programs, where(rows, "set", to=0)[-1], set="dowirepower")
+
+
 @mutator("verify.base_frames")
 def another_base(rng, programs):
     rows = rows_of(programs)

@@ -267,9 +267,29 @@ def _program(file: str, lines: Sequence[str], found: Sequence[Any]) -> Program:
             )
     if not arms:
         raise _MisplacedError(1, "the file names no arm")
+    spelt: dict[str, str] = {}
     for row in rows:
         _fits(row, program)
+        for name in _signals(row):
+            other = spelt.setdefault(name.lower(), name)
+            if other != name:  # one signal to the proof, two services to a runner
+                what = f"{name} stands elsewhere as {other}; one name is spelt one way"
+                raise _MisplacedError(row.line, what, "name_duplicate")
     return program
+
+
+def _signals(row: Row) -> tuple[str, ...]:
+    """The signals that a row names."""
+    match row:
+        case SetRow(signal=name):
+            return (name,)
+        case AwaitRow(signal=name, on_failure=falls):
+            return (name, *falls)
+        case AtRow(on_failure=falls) | AskRow(on_failure=falls) | DwellRow(on_failure=falls):
+            return falls
+        case MoveRow(on_failure=falls):
+            return falls
+    return ()
 
 
 def _fits(row: Row, program: Program) -> None:
