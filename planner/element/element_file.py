@@ -65,6 +65,8 @@ CLOSED: Final = 1e-3
 ElementName = Annotated[
     str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,17}$", description="letter first, at most 18 characters")
 ]
+LEAST_TOLERANCE_MM: Final = 0.05
+"""Panels for the bent wire are asked to be no nearer to the surface."""
 
 
 class PlaneFile(Strict):
@@ -95,7 +97,9 @@ class SurfaceFile(FrontFile):
 class ElasticFile(Strict):
     """Panels whose faces a bent wire cuts."""
 
-    tolerance_mm: Annotated[float, Field(ge=0.05, le=50, description="of panels to the surface")]
+    tolerance_mm: Annotated[
+        float, Field(ge=LEAST_TOLERANCE_MM, le=50, description="of panels to the surface")
+    ]
     joint_mm: Annotated[
         float, Field(ge=0.01, le=50, description="step between neighbours at 95 % of a joint's points")
     ] = 0.2
@@ -554,6 +558,7 @@ def _rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFile, ...])
         spec.faces,
         elastic.tolerance_mm * MM,
         elastic.end_weight,
+        elastic.joint_mm * MM,
     )
 
 
