@@ -406,7 +406,9 @@ def _proven(problem: Problem, programs: Mapping[str, str], begin: Begin) -> Proo
     return prove.prove(problem, processes.claims(problem), programs, begin)
 
 
-_PROGRAM_SUFFIXES = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub", ".script"})
+_PROGRAM_SUFFIXES = frozenset(
+    {".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub", ".script", ".jsonl"}
+)
 """Suffixes of files that a controller reads as programs."""
 
 

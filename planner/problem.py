@@ -318,16 +318,19 @@ class Interlock:
 
 @dataclasses.dataclass(frozen=True)
 class Controller:
-    """How the programs address the controller: task and mechanical unit per arm, signals, limits of a
-    module.
+    """How the programs address the controller: task and mechanical unit per arm, signals, limits of a module.
 
     ``sync``: one MultiMove controller for all arms, or one for each arm that meet by ``handshake``; tasks and
     units of two controllers may have the same names. ``dialect``: the KRL of KUKA arms; ``path``: how they go
     from target to target, straight one by one or in spline blocks. ``io``: {arm: {signal: number}} of the
     inputs and outputs of KUKA and UR controllers, which know no names. ``robotware``: main version of ABB's
-    controllers. ``robots``: names of the robots in their configuration, the units' unless stated.
-    ``options`` that are installed, None where the cell does not say.
-    """
+    controllers. ``robots``: names of the robots in their configuration, the units' unless stated. ``options``
+    that are installed, None where the cell does not say.
+
+    ``language``: what all arms are programmed in, "own" for that of each arm's family, "ros" for joint
+    trajectories; of these ``joint_prefix`` {arm: what stands before the names of its joints},
+    ``path_tolerance`` and ``goal_tolerance`` [rad] of each joint, and ``goal_time`` [s] by which a goal may
+    be late."""
 
     tasks: tuple[str, ...] = ("T_ROB1", "T_ROB2")
     units: tuple[str, ...] = ("ROB_1", "ROB_2")
@@ -343,6 +346,11 @@ class Controller:
     interlock: Interlock = dataclasses.field(default_factory=Interlock)
     robots: tuple[str, ...] = ()
     options: tuple[str, ...] | None = None
+    language: Literal["own", "ros"] = "own"
+    joint_prefix: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    path_tolerance: float = 2.0 * DEG
+    goal_tolerance: float = 0.2 * DEG
+    goal_time: float = 2.0
 
     def robot(self, place: int) -> str:
         """The name under ``/MOC/ROBOT`` of the robot of the cell's arm number ``place`` [from 0]."""

@@ -264,6 +264,7 @@ CODES: Final[dict[str, Code]] = {
         "a signal has no number on the controller of a KUKA or UR arm, or one that mixes up two arms of UR",
         given=True,
     ),
+    "post.trajectory": Code("no points of a trajectory keep a way at its speed"),
     "post.ur_arm": Code("an arm of the family ur is none that a UR controller moves", given=True),
     "post.blend": Code("a tool turns about its TCP where it may not stop: UR has no blend there"),
     "post.turn_near_zero": Code(
@@ -364,6 +365,12 @@ CODES: Final[dict[str, Code]] = {
     "verify.cell_check": Code(
         "a program does not compare the controller's frames with the plan before it moves"
     ),
+    "verify.start_posture": Code(
+        "a move of a trajectory begins where nobody has looked that the joints are, or not at home"
+    ),
+    "verify.goal_tolerances": Code("a move of a trajectory goes on farther off its way than the cell states"),
+    "verify.power_on_failure": Code("an output stays on where a step of a trajectory does not end"),
+    "verify.between_points": Code("between two points of a trajectory the tool leaves the straight way"),
     "verify.controller_files": Code("files for a controller are missing, changed, or fit other programs"),
     "verify.hidden": Code("something runs beside the straight way, or may: it is not proven"),
     "verify.speed_data": Code("the speed beside a move's time is below what way and time ask for"),

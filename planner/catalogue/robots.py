@@ -19,7 +19,7 @@ from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 
-Family = Literal["ABB", "KUKA", "UR", "generic"]
+Family = Literal["ABB", "KUKA", "UR", "generic", "ROS"]
 """Whose controller an arm has, which is what its programs are written for."""
 DataKind = Literal["urdf", "problems"]
 

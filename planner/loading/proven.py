@@ -134,6 +134,9 @@ def chosen(proven: Proven, arm: str | None) -> tuple[tuple[Arm, ...], dict[str, 
     has a controller of its own. Raises ``TandemError`` (``upload.address``)."""
     cell = proven.problem.cell
     names = [one.name for one in cell.arms]
+    if any(one.data.family == "ROS" for one in cell.arms):
+        what = "trajectories are not sent by this; the runner (integrations/ros2) goes through their file"
+        raise TandemError(Issue("upload.address", what, arm=arm))
     if any(one.data.family == "UR" for one in cell.arms if arm in (None, one.name)):
         what = "programs of UR arms are not sent by this; load them by a share or USB stick"
         raise TandemError(Issue("upload.address", what, arm=arm))

@@ -28,6 +28,7 @@ from planner.post.rapid import controller_files as rapid_files
 from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
 from planner.post.steps import build
+from planner.post.trajectories import program as trajectories
 from planner.post.urscript import program as ur_program
 from planner.problem import Arm, Problem, lights_torch, torch_signals
 from planner.targets import Targets
@@ -57,8 +58,8 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
         if not signals and not wires:
             continue
         name, burning = task.arm.name, lit[task.arm.name]
-        if task.robot.family == "UR":
-            continue  # its installation is set at the panel
+        if task.robot.family in ("UR", "ROS"):
+            continue  # its installation is set at the panel, or is the runner's
         if task.robot.family == "KUKA":
             made, folder = krl_files.files(controller, name, signals, wires, burning), name
         elif alone:
@@ -109,23 +110,26 @@ def used(problem: Problem, made: Sequence[Targets]) -> list[Arm]:
     return [arm for arm in problem.cell.arms if arm.name in names]
 
 
-LANGUAGES: Final = {"ABB": "RAPID", "KUKA": "KRL", "UR": "URScript"}
+LANGUAGES: Final = {"ABB": "RAPID", "KUKA": "KRL", "UR": "URScript", "ROS": "trajectories of ROS 2"}
 """Languages of programs by the families of controllers that read them."""
+_OWN: Final = ("ABB", "KUKA", "UR")
+"""Families that have a language of their own."""
 _BY_NUMBER: Final = ("KUKA", "UR")
 """Families whose controllers know signals by number alone."""
 
 
 def _unspoken(arms: Sequence[Arm]) -> list[Issue]:
     """Arms for whose controllers no programs are written (``post.language``)."""
-    hint = f"plan with an arm of {' or '.join(LANGUAGES)}; check tells of its reach all the same"
-    allowed = ", ".join(f"{family} ({word})" for family, word in LANGUAGES.items())
+    hint = "where a computer with ROS 2 moves it, set controller: {language: ros}; else plan with an arm of "
+    hint += f"{' or '.join(_OWN)}; check tells of its reach all the same"
+    allowed = ", ".join(f"{family} ({LANGUAGES[family]})" for family in _OWN)
     out = []
     for arm in arms:
         if arm.data.family in LANGUAGES:
             continue
         what = f"is of the family {arm.data.family}, whose language is not written yet"
         if arm.data.axes > 6:
-            what = "has seven axes, and no language that is written here states seven joints"
+            what = "has seven axes, and no controller's own language that is written here states seven joints"
         what = f"arm {arm.name} ({arm.robot}) {what}; allowed are {allowed}"
         out.append(Issue("post.language", what, arm=arm.name, hint=hint))
     return out
@@ -141,6 +145,35 @@ def speaks_urscript(arm: Arm) -> bool:
     return arm.data.family == "UR"
 
 
+def speaks_trajectories(arm: Arm) -> bool:
+    """Whether an arm is driven by joint trajectories of ROS 2."""
+    return arm.data.family == "ROS"
+
+
+def _trajectory_refusals(problem: Problem, arms: Sequence[Arm]) -> list[Issue]:
+    """Why arms that trajectories drive cannot do a job: names of joints that two arms share, a block that is
+    held, torches, tracks and what turns the block."""
+    issues = []
+    seen: dict[str, str] = {}
+    for arm in arms:
+        for joint in trajectories.joint_names(arm, problem.cell.controller):
+            other = seen.setdefault(joint, arm.name)
+            if other != arm.name:
+                got = f"arms {other} and {arm.name} both have a joint {joint}, and one controller moves both"
+                hint = (
+                    f"controller: {{joint_prefix: {{{other}: {other}_, {arm.name}: {arm.name}_}}}}, as the "
+                )
+                hint += "controller's configuration calls them"
+                field = "controller.joint_prefix"
+                issues.append(Issue("post.name", got, field=field, arm=arm.name, hint=hint))
+                break
+    holders = [name for name in dict.fromkeys(setup.stock.held_by for setup in problem.setups) if name]
+    issues += [trajectories.no_load(name) for name in holders]
+    lit = [operation for operation in problem.operations if lights_torch(operation)]
+    issues += [trajectories.no_torch(lit[0].arms[0])] if lit else []
+    return issues
+
+
 def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
     """Why the controllers of this cell cannot do this job, however it is planned: arms of KUKA or UR on a
     controller for both (``post.controller``), arms of UR that are none (``post.ur_arm``) or hold the block
@@ -149,6 +182,8 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     arms = used(problem, made)
     if unspoken := _unspoken(arms):
         return tuple(unspoken)
+    if any(map(speaks_trajectories, arms)):
+        return tuple(_trajectory_refusals(problem, arms))
     together = len(arms) > 1
     abb = all(arm.data.family == "ABB" for arm in arms)
     if together and not abb and problem.cell.controller.sync != "handshake":
@@ -268,7 +303,9 @@ def name_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...
     """Segments that programs cannot tell apart, that two operations of one setup have in common though
     something is claimed of them, and names that RAPID does not take (all ``post.name``). ``made``: the
     targets of each operation."""
-    rapid = not all(speaks_krl(arm) or speaks_urscript(arm) for arm in used(problem, made))
+    rapid = not all(
+        speaks_krl(arm) or speaks_urscript(arm) or speaks_trajectories(arm) for arm in used(problem, made)
+    )
     out: list[Issue] = []
     known: dict[str, Segment] = {}
     for number, targets in enumerate(made):
@@ -326,7 +363,7 @@ def _claimed(claims: Sequence[Claim]) -> set[str]:
 def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = None) -> dict[str, str]:
     """Texts of the program files by relative name, such as ``T_ROB1/TandemMain_1.mod``; of two controllers,
     and of KUKA's and UR's arms, in folders by arm, such as ``left/TandemMain_1.mod``, ``left/ruled_wall.src``
-    or ``left/ruled_wall.script``.
+    or ``left/ruled_wall.script``; of arms that trajectories drive one file, ``ruled_wall.trajectory.jsonl``.
 
     Each arm gets the language of its controller; files for the controllers themselves are in
     ``controller/``. ``margins``: results of the proof by name, as text; they go into the headers' comments
@@ -372,4 +409,5 @@ def _texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -
     out = rapid_program.texts(job, plan, problem, margins) if "ABB" in families else {}
     out |= krl_program.texts(job, plan, problem, margins) if "KUKA" in families else {}
     out |= ur_program.texts(job, plan, problem, margins) if "UR" in families else {}
+    out |= trajectories.texts(job, plan, problem) if "ROS" in families else {}
     return out | controller_texts(job, plan, problem)

@@ -427,7 +427,10 @@ def build(spec: CellFile, folder: Path) -> Cell:
         if sag is not None and stiffness is None:
             raise TandemError(_no_stiffness(arm, number))
         made = Arm(arm.name, data.name, arm.base.matrix(), mounted, home, arm.base_auto, stiffness, sag)
-        made = made if data.file is None else dataclasses.replace(made, given=data)
+        if spec.controller.language == "ros":
+            made = dataclasses.replace(made, given=_driven(data, arm, number))
+        elif data.file is not None:
+            made = dataclasses.replace(made, given=data)
         arms.append(dataclasses.replace(made, track=axes.track(arm.track, made, number)))
     _refuse_alike(arms)
     obstacles = tuple(
@@ -442,6 +445,17 @@ def build(spec: CellFile, folder: Path) -> Cell:
     under = spec.turntable if spec.positioner is None else spec.positioner
     table, plate = axes.turntable(under, arms, controller, [body.name for body in obstacles])
     return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _grippers(spec), wires, table)
+
+
+def _driven(data: RobotData, arm: ArmFile, number: int) -> RobotData:
+    """The robot of an arm that joint trajectories drive. Raises :class:`TandemError` (``problem.field``) for
+    an arm that rides on a track or whose sag is made up for, which trajectories are not written for."""
+    for field, stated in (("track", arm.track), ("compensate_sag", arm.compensate_sag)):
+        if stated is not None:
+            what = f"{field} of arm {arm.name}: trajectories (controller: {{language: ros}}) are written for "
+            what += "arms that stand still and do not bend; leave it out, or take the arm's own language"
+            raise TandemError(Issue("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name))
+    return dataclasses.replace(data, family="ROS")
 
 
 def _robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:

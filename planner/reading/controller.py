@@ -13,6 +13,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from planner.claims.vocabulary import Handshake, HandshakeKind, PartnerSignals, SignalWire
+from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 from planner.problem import (
     Cell,
@@ -184,6 +185,30 @@ class ControllerFile(Strict):
         Field(description="options installed, as the controller lists them; none: not stated"),
     ] = None
     interlock: Annotated[InterlockFile, Field(default_factory=InterlockFile)]
+    language: Annotated[
+        Literal["own", "ros"],
+        Field(
+            description="`ros`: joint trajectories for one controller of ROS 2 that moves all arms; `own`: "
+            "the language of each arm's family"
+        ),
+    ] = Controller.language
+    joint_prefix: Annotated[
+        dict[Name, Name],
+        Field(
+            default_factory=dict,
+            description="with `language: ros`, by arm: what stands before the joints' names of its URDF",
+        ),
+    ]
+    path_tolerance_deg: Annotated[
+        float,
+        Field(gt=0, le=10, description="with `language: ros`: a joint farther off its way ends the move"),
+    ] = 2.0
+    goal_tolerance_deg: Annotated[
+        float, Field(gt=0, le=2, description="with `language: ros`: so near to its goal each joint comes")
+    ] = 0.2
+    goal_time_s: Annotated[
+        float, Field(gt=0, le=30, description="with `language: ros`: so late it may be there")
+    ] = Controller.goal_time
     max_moves: Annotated[int, Field(ge=10, le=100_000)] = Controller.max_moves
     max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = Controller.max_bytes // 1000
 
@@ -213,6 +238,7 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         else Handshake()
     )
     _check_io(spec.io, arms, handshake if alone else None)
+    _check_ros(spec, arms)
     if spec.path == "spline":
         _check_path(spec, len(arms))
     return Controller(
@@ -230,7 +256,29 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         _interlock(spec.interlock),
         tuple(spec.robots or ()),
         spec.options,
+        spec.language,
+        dict(spec.joint_prefix),
+        spec.path_tolerance_deg * DEG,
+        spec.goal_tolerance_deg * DEG,
+        spec.goal_time_s,
     )
+
+
+def _check_ros(spec: ControllerFile, arms: Sequence[str]) -> None:
+    """Raise where what is stated of trajectories does not fit."""
+    for name in spec.joint_prefix:
+        if name not in arms:
+            what = f"the cell has no arm {name}; allowed: {', '.join(arms)}"
+            raise TandemError(Issue("problem.field", what, field="controller.joint_prefix"))
+    if spec.language == "own" and spec.joint_prefix:
+        what = "a joint_prefix is stated, but language is own; set language: ros or take it out"
+        raise TandemError(Issue("problem.field", what, field="controller.joint_prefix"))
+    if spec.language == "ros" and spec.sync == "handshake":
+        what = (
+            "language: ros with sync: handshake; one controller moves all joints there, on one clock: take "
+        )
+        what += "sync out, or two arms with languages of their own"
+        raise TandemError(Issue("problem.field", what, field="controller.sync"))
 
 
 def _check_path(spec: ControllerFile, arms: int) -> None:

@@ -74,7 +74,9 @@ class OwnRobotFile(Strict):
     )
     family: Annotated[
         Literal["abb", "kuka", "ur", "generic"],
-        Field(description="of its controller: RAPID, KRL or URScript; no programs for `generic`"),
+        Field(
+            description="of its controller: RAPID, KRL or URScript; `generic`: trajectories of ROS 2 alone"
+        ),
     ]
     controller: Annotated[
         str | None, Field(max_length=50, description="none: IRC5, KRC4, e-Series, not stated")

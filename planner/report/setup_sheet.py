@@ -233,7 +233,13 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
     joined = alone and len(arms) > 1
     rows: list[tuple[Phrase, ...]] = []
     seen = False
+    driven = [arm for arm in arms if arm.data.family == "ROS"]
+    if driven:
+        both = ", ".join(arm.name for arm in driven)
+        rows += [(both, what, wanted, _FILL) for what, wanted in _driven(problem, plan, driven)]
     for arm in arms:
+        if arm in driven:
+            continue
         if arm.data.family == "KUKA":
             rows += [
                 (arm.name, what, wanted, _FILL) for what, wanted in _kuka(problem, plan, arm.name, joined)
@@ -333,6 +339,40 @@ def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str,
         ("behind an error or a stop that is given up", "start the program from its beginning"),
     ]
     return out
+
+
+def _driven(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tuple[str, str]]:
+    """What a controller of ROS 2 that moves all joints must have, and the runner of trajectories."""
+    controller, out = problem.cell.controller, list[tuple[str, str]]()
+    names = [
+        f"{controller.joint_prefix.get(arm.name, '')}{joint}" for arm in arms for joint in arm.data.joints
+    ]
+    path, goal = (
+        float(np.rad2deg(value)) for value in (controller.path_tolerance, controller.goal_tolerance)
+    )
+    for signal in _powered(problem, plan):
+        out.append((f"the service that sets {signal}", "answers once the output has the value"))
+        out.append(
+            (
+                f"{signal} with the runner ended by force, the computer off, its network pulled",
+                "falls within 1 s",
+            )
+        )
+        out.append((f"the power of {signal} at a safety stop and with the drives", "falls: wired so"))
+    return [
+        *out,
+        ("controller", "one joint_trajectory_controller for all joints, interpolation_method splines"),
+        ("its joints, in any order", ", ".join(names)),
+        ("state interfaces", "position and velocity of all joints"),
+        ("allow_nonzero_velocity_at_trajectory_end, allow_partial_joints_goal", "false"),
+        ("joints of the URDF at the computer", "zero and turn as those that the job was planned with"),
+        ("a hand on a joint while it moves slowly: ends the move", f"beyond {path:g} deg off its way"),
+        ("behind each move all joints", f"within {goal:g} deg"),
+        ("what scales speeds at the controller or at the pendant", "100 %: else the feed is another"),
+        ("tool and load at each arm's controller", "as the rows tool of the file have them"),
+        ("time of the longest move", "as planned"),
+        ("behind a stop of any kind", "power off, wire off, arms home by hand; start from the beginning"),
+    ]
 
 
 def _ur_torch(signal: str) -> list[tuple[str, str]]:
@@ -746,12 +786,17 @@ def _controllers(problem: Problem) -> list[tuple[object, object]]:
     controller = problem.cell.controller
     ur = [arm.name for arm in problem.cell.arms if arm.data.family == "UR"]
     krl = [arm.name for arm in problem.cell.arms if arm.data.family == "KUKA"]
+    driven = [arm.name for arm in problem.cell.arms if arm.data.family == "ROS"]
     named = [
         f"{arm.name}: {task}"
         for arm, task in zip(problem.cell.arms, controller.tasks, strict=False)
-        if arm.name not in (*krl, *ur)
+        if arm.name not in (*krl, *ur, *driven)
     ]
     out: list[tuple[object, object]] = [("tasks", ", ".join(named))] if named else []
+    if driven:
+        out.append(
+            (f"trajectories of {', '.join(driven)}", "one file for ROS 2, not run on a controller yet")
+        )
     dialect = {"krc4": "KRC4, KSS 8.3 on", "krc2": "KRC2"}[controller.dialect]
     for arm in krl:
         numbers = controller.io.get(arm, {})

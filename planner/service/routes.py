@@ -464,7 +464,9 @@ TYPES: Final = {
     ".obj": "model/obj",
     ".npz": "application/octet-stream",
     ".yaml": "application/yaml",
-    **dict.fromkeys((".mod", ".modx", ".pgf", ".src", ".dat", ".script"), "text/plain; charset=utf-8"),
+    **dict.fromkeys(
+        (".mod", ".modx", ".pgf", ".src", ".dat", ".script", ".jsonl"), "text/plain; charset=utf-8"
+    ),
 }
 """Content types of the files of a result."""
 PARTS: Final[dict[int | str, dict[str, Any]]] = {

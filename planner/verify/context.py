@@ -324,6 +324,9 @@ class Context:
             if task.krl is not None:
                 out[task.arm.name] = task.krl.base
                 continue
+            if task.trajectory is not None:
+                out[task.arm.name] = task.trajectory.base
+                continue
             if task.script is not None:
                 out[task.arm.name] = self._foot(task.arm, task.script.base)
                 continue

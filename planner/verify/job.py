@@ -15,7 +15,7 @@ import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from planner.claims.forming import SheetState
 from planner.claims.milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.claims.trim import TrimsSheet, slot_names
 from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import IntArray
+from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import TandemError
 from planner.problem import Arm, Problem, Setup
 from planner.verify.krl import reader
@@ -46,9 +46,24 @@ from planner.verify.programs.steps import (
 from planner.verify.rapid.reader import MOST_KEPT, Flow, Limits, Task, flow, read_task
 from planner.verify.rapid.syntax_tree import Module
 from planner.verify.replay.arm_model import machine_of
+from planner.verify.trajectories import flow as trajectory_flow
+from planner.verify.trajectories import rows as trajectory_rows
 from planner.verify.urscript import flow as script_flow
 from planner.verify.urscript import reader as script_reader
 from planner.verify.urscript.reader import ScriptText
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TrajectoryText:
+    """The program that moves an arm, perhaps with others, and the arm's ``base`` (4, 4) by it."""
+
+    program: trajectory_rows.Program
+    base: FloatArray
+
+    @property
+    def digest(self) -> str:
+        """The problem that the program names."""
+        return self.program.digest
 
 
 class Part(NamedTuple):
@@ -123,7 +138,7 @@ Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 class TaskText:
     """One task: its arm, its modules, its straight way, its error handlers and UNDO sections, and the
     procedures (module, name) that ever run. A KRL task has ``krl`` in place of modules, and no sections; so
-    has one of URScript its ``script``."""
+    has one of URScript its ``script``, and an arm of a trajectory file its ``trajectory``."""
 
     name: str
     unit: str
@@ -136,11 +151,12 @@ class TaskText:
     files: Mapping[str, str]
     krl: KrlText | None = None
     script: ScriptText | None = None
+    trajectory: TrajectoryText | None = None
 
     @property
     def rapid(self) -> bool:
         """Whether the task is RAPID."""
-        return self.krl is None and self.script is None
+        return self.krl is None and self.script is None and self.trajectory is None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,10 +217,14 @@ def task_names(problem: Problem) -> tuple[str, ...]:
     controller = problem.cell.controller
     alone = controller.sync == "handshake"
     tasks = (*controller.tasks, *("" for _ in problem.cell.arms))
+    own = [
+        alone or speaks_krl(arm) or speaks_urscript(arm) or speaks_trajectories(arm)
+        for arm in problem.cell.arms
+    ]
     return tuple(
-        arm.name if alone or speaks_krl(arm) or speaks_urscript(arm) else task
-        for arm, task in zip(problem.cell.arms, tasks, strict=False)
-        if task or alone or speaks_krl(arm) or speaks_urscript(arm)
+        arm.name if by_arm else task
+        for arm, task, by_arm in zip(problem.cell.arms, tasks, own, strict=False)
+        if task or by_arm
     )
 
 
@@ -218,10 +238,21 @@ def speaks_urscript(arm: Arm) -> bool:
     return arm.data.family == "UR"
 
 
+def speaks_trajectories(arm: Arm) -> bool:
+    """Whether the arm is driven by joint trajectories of ROS 2."""
+    return arm.data.family == "ROS"
+
+
+TRAJECTORY: Final = ".jsonl"
+"""Ending of the name of the one file of all arms that are driven by trajectories."""
+
+
 def endings(arm: Arm) -> tuple[str, ...]:
     """Endings of the names of the files of an arm's programs."""
     if speaks_krl(arm):
         return (".src", ".dat")
+    if speaks_trajectories(arm):
+        return (TRAJECTORY,)
     return (".script",) if speaks_urscript(arm) else MODULES
 
 
@@ -233,16 +264,22 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
     arms = dict(zip(names, problem.cell.arms, strict=False))
     folders = {name for name, arm in arms.items() if speaks_krl(arm) or speaks_urscript(arm)}
     folders |= set(names) if problem.cell.controller.sync == "handshake" else set()
+    driven = [name for name, arm in arms.items() if speaks_trajectories(arm)]
     strays: list[str] = []
     for path, text in sorted(programs.items()):
         suffix = PurePosixPath(path).suffix.lower()
         if suffix == ".pgf":
             continue
+        if driven and suffix == TRAJECTORY:
+            for name in driven:
+                found[name][path] = text
+            continue
         where = [part.lower() for part in PurePosixPath(path).parent.parts]
         words = [
             task
             for task in found
-            if suffix in endings(arms[task])
+            if task not in driven
+            and suffix in endings(arms[task])
             and (
                 task.lower() in where
                 if task in folders
@@ -258,11 +295,13 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
 
 def controllers(problem: Problem, tasks: Sequence[TaskText]) -> tuple[tuple[TaskText, ...], ...]:
     """The tasks by the controllers that run them, which alone have their signals: those of one ABB controller
-    together, each of KUKA and UR, and of two controllers that share signals by wires, by itself."""
+    together, those of one file of trajectories, each of KUKA and UR, and of two controllers that share
+    signals by wires, by itself."""
     alone = problem.cell.controller.sync == "handshake"
     out: dict[str, list[TaskText]] = {}
     for task in tasks:
-        out.setdefault(task.arm.name if alone or not task.rapid else "", []).append(task)
+        one = task.rapid or task.trajectory is not None
+        out.setdefault("" if one and not alone else task.arm.name, []).append(task)
     return tuple(map(tuple, out.values()))
 
 
@@ -277,8 +316,14 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     faults: list[Fault] = []
     no_way: list[Fault] = []
     names = task_names(problem)
+    driven = [name for name, arm in zip(names, problem.cell.arms, strict=False) if speaks_trajectories(arm)]
+    if driven and files[driven[0]]:
+        found_tasks, wrong, lost = _trajectory_tasks(problem, files[driven[0]])
+        tasks += found_tasks
+        faults += wrong
+        no_way += lost
     for number, arm in enumerate(problem.cell.arms):
-        if number >= len(names) or not files[names[number]]:
+        if number >= len(names) or not files[names[number]] or names[number] in driven:
             continue
         one = _krl_task if speaks_krl(arm) else _script_task if speaks_urscript(arm) else _rapid_task
         task, wrong, lost = one(problem, number, names[number], files[names[number]])
@@ -389,6 +434,55 @@ def script_task(problem: Problem, arm: Arm, name: str, files: Mapping[str, str])
             lost = (Fault(1, 1, "urscript.flow", what, text.program.file),)
     task = TaskText(name, "", arm, (), steps, {}, {}, frozenset(), files, None, text)
     return task, text.faults, lost
+
+
+def _trajectory_tasks(
+    problem: Problem, files: Mapping[str, str]
+) -> tuple[list[TaskText], Sequence[Fault], Sequence[Fault]]:
+    """The tasks of all arms that one file of trajectories moves, faults of its rows, and why they have no
+    straight way."""
+    file = sorted(files)[0]
+    program, faults = trajectory_rows.read(file, files[file], problem.cell.controller.max_bytes)
+    arms = {arm.name: arm for arm in problem.cell.arms if speaks_trajectories(arm)}
+    lost: list[Fault] = []
+    if len(files) > 1:
+        what = f"{len(files)} files of trajectories; all arms need one, for one clock moves them"
+        faults = (*faults, Fault(1, 1, "trajectory.name_file", what, sorted(files)[1]))
+    if program is None:
+        return [], faults, lost
+    steps: Mapping[str, tuple[Step, ...]] = {}
+    wanted = {name: joint_names(problem, arm) for name, arm in arms.items()}
+    for row in program.arms:
+        if row.arm not in wanted:
+            what = f"there is no arm {row.arm} that trajectories move; known are {', '.join(wanted)}"
+            lost.append(Fault(row.line, 1, "trajectory.flow", what, file))
+        elif row.joints != wanted[row.arm] or row.robot != arms[row.arm].robot:
+            what = f"the joints of {row.arm} ({row.robot}) are {', '.join(row.joints)}; wanted: "
+            what += f"{', '.join(wanted[row.arm])} of {arms[row.arm].robot}, in this order"
+            lost.append(Fault(row.line, 1, "trajectory.flow", what, file))
+    order = [row.arm for row in program.arms]
+    if order != [name for name in wanted if name in order]:
+        what = f"the arms stand as {', '.join(order)}; wanted: the cell's order"
+        lost.append(Fault(program.arms[0].line, 1, "trajectory.flow", what, file))
+    if not lost:
+        try:
+            steps = trajectory_flow.flow(program, {name: arm.data for name, arm in arms.items()})
+        except FlowError as wrong:
+            lost += wrong.faults
+    tasks = []
+    for row in program.arms:
+        if row.arm in arms:
+            text = TrajectoryText(program, trajectory_flow.pose(row.base))
+            way, none = steps.get(row.arm, ()), frozenset[tuple[str, str]]()
+            tasks.append(TaskText(row.arm, "", arms[row.arm], (), way, {}, {}, none, files, trajectory=text))
+    return tasks, faults, lost
+
+
+def joint_names(problem: Problem, arm: Arm) -> tuple[str, ...]:
+    """What a controller of trajectories calls the joints of an arm: the names of its URDF behind the prefix
+    that the cell states."""
+    prefix = problem.cell.controller.joint_prefix.get(arm.name, "")
+    return tuple(f"{prefix}{name}" for name in arm.data.joints)
 
 
 def krl_signals(problem: Problem, arm: Arm) -> Signals:

@@ -60,6 +60,7 @@ from planner.verify.rules import (
     text,
     track_along,
     track_way,
+    trajectories,
     trim,
     trim_knife,
     trim_mill,
@@ -100,6 +101,9 @@ TASK_RULES: _RuleTable = (
     moves_and_settings.hidden,
     controller_files.cell_check,
     controller_files.controller_files,
+    trajectories.start_posture,
+    trajectories.goal_tolerances,
+    trajectories.power_on_failure,
 )
 """Rules about the tasks and how they meet."""
 STAGE_RULES: _RuleTable = (
@@ -142,6 +146,7 @@ MOTION_RULES: _RuleTable = (
     robot_motion.singularity,
     robot_motion.tcp_speed,
     track_along.track_along,
+    trajectories.between_points,
     waiting_time.power_idle,
     given_poses.follows,
     cut_part.order,

@@ -149,7 +149,9 @@ def series(
         out[f"joints/{arm}"] = q[rows]
         # one axis at a time: a long motion has so many samples that a copy of all is felt
         for name, order in (("speed", 1), ("acceleration", 2)):
-            axes = [_peaks(differences(motion.time, q[:, axis, None], order), rows) for axis in range(6)]
+            axes = [
+                _peaks(differences(motion.time, q[:, axis, None], order), rows) for axis in range(q.shape[1])
+            ]
             out[f"{name}/{arm}"] = np.concatenate(axes, axis=1)
         place, way = motion.tcp[arm].place, np.zeros(len(motion.time))
         for begin in range(1, len(way), _SAMPLES_AT_ONCE):

@@ -61,6 +61,9 @@ ELSEWHERE: Final = {
     "post.ur_arm": (
         "post/urscript/test_program", "test_an_arm_that_a_ur_controller_does_not_move_is_refused",
     ),
+    "post.trajectory": (
+        "test_driven_jobs", "test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps",
+    ),
     "post.blend": (
         "post/urscript/test_program", "test_a_turn_about_the_tcp_is_no_blend_and_a_stop_there_helps",
     ),

@@ -64,6 +64,17 @@ class JointTarget:
     external: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PassedTarget:
+    """`joints` [rad, serial] that are passed at `rates` [rad/s], both (J,), on a cubic in joint space from
+    the target before; `external` (6,) as written.
+    """
+
+    joints: FloatArray
+    rates: FloatArray
+    external: FloatArray
+
+
 @dataclass(frozen=True, slots=True)
 class Speed:
     """`tcp` [m/s] (inf for no limit), `turn` [rad/s], external axes `linear` [m/s] and `rotary` [rad/s];
@@ -179,7 +190,7 @@ class MoveStep(Step):
     them; names are "" for values in place."""
 
     kind: str
-    target: RobTarget | JointTarget | StatusTarget
+    target: RobTarget | JointTarget | StatusTarget | PassedTarget
     target_name: str
     id: int | None
     time: float | None

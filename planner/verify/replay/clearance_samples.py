@@ -180,11 +180,11 @@ def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slic
 
 
 def lever(context: Context, index: int, arm: str) -> FloatArray:
-    """How far any point of an arm is from each of its axes at most (6,) [m]."""
+    """How far any point of an arm is from each of its axes at most (J,) [m]."""
     setup = context.setups[index]
     machine, tool = arm_model.machine_of(setup.cell.arm(arm).data), _hand(setup, arm)
     if machine.spherical is None:
-        if machine.followed:
+        if machine.followed or len(machine.chain.axis) == 7:
             return offset_arm.levers(machine.chain, tool)
         return parallel_arm.levers(machine.table, tool)
     p = machine.shape

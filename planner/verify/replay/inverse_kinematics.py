@@ -24,7 +24,7 @@ import itertools
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse
-from planner.verify.replay import offset_arm, parallel_arm
+from planner.verify.replay import offset_arm, parallel_arm, seven_arm
 from planner.verify.replay.arm_model import Machine
 
 FULL_TURN = 2.0 * np.pi
@@ -130,7 +130,7 @@ def wrapped(angle: FloatArray) -> FloatArray:
 
 def singularity_distance(machine: Machine, q: FloatArray) -> FloatArray:
     """Angle (...,) [rad] to the nearest singularity of serial angles (..., 6): wrist, stretched elbow, wrist
-    above axis 1; of an arm with three parallel axes or an offset wrist its own.
+    above axis 1; of an arm with three parallel axes, an offset wrist or seven axes (..., 7) its own.
 
     The wrist's is |axis 5|; the elbow's the bend between lower arm and forearm; the shoulder's the angle at
     which the wrist centre is seen from the shoulder's height off axis 1.
@@ -138,6 +138,8 @@ def singularity_distance(machine: Machine, q: FloatArray) -> FloatArray:
     if machine.spherical is None:
         if machine.followed:
             return offset_arm.singularity_distance(machine.chain, q)
+        if len(machine.chain.axis) == 7:
+            return seven_arm.singularity_distance(machine.chain, q)
         return parallel_arm.singularity_distance(machine.table, q)
     p = machine.shape
     theta = p.signs * q - p.offsets

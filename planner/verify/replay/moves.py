@@ -38,6 +38,7 @@ from planner.verify.programs.steps import (
     JointTarget,
     MessageStep,
     MoveStep,
+    PassedTarget,
     RobTarget,
     SettingStep,
     StatusTarget,
@@ -217,9 +218,11 @@ class Row:
     (N, 4, 4), ``base`` (4, 4), from which it has ``gone`` (N + 1,) [m] along ``axis`` (3,) before the moves
     and behind each, where it rides; it goes as evenly as the tool does.
 
-    Poses are in the world, unless the flange of arm ``carrier`` carries the work object: then they are in
-    the frame that lies at ``ride`` (4, 4) in that flange, and the moves are straight in it.
-    """
+    ``rates`` (N, J) [rad/s]: of an arm that is driven by trajectories the velocities at its targets, which
+    are all joints.
+
+    Poses are in the world, unless the flange of arm ``carrier`` carries the work object: then they are in the
+    frame that lies at ``ride`` (4, 4) in that flange, and the moves are straight in it."""
 
     task: TaskText
     moves: tuple[MoveStep, ...]
@@ -235,6 +238,7 @@ class Row:
     ride: FloatArray
     gone: FloatArray | None = None
     axis: FloatArray | None = None
+    rates: FloatArray | None = None
 
     def tcp(self, q: FloatArray) -> FloatArray:
         """TCP poses (..., 4, 4) in the world of joints (..., 6) before the first move, with its tool."""
@@ -295,7 +299,9 @@ def make_row(
     position, quaternion = np.zeros((count, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     conf = np.zeros((count, 4), dtype=np.int64)
     named = np.zeros(count, dtype=bool)
-    q = np.full((count, 6), np.nan)
+    axes = machine.data.axes
+    q = np.full((count, axes), np.nan)
+    rates = np.zeros((count, axes)) if task.trajectory is not None else None
     work: dict[int, FloatArray] = {}
     frame = np.zeros((count, 4, 4))
     tool = np.zeros((count, 4, 4))
@@ -313,11 +319,17 @@ def make_row(
                 q[i] = chosen(move, machine, base)
             case JointTarget(joints=values):
                 q[i] = machine.data.from_controller(values)
+            case PassedTarget(joints=values, rates=rate):
+                q[i] = values
+                if rates is not None:
+                    rates[i] = rate
     ride = np.eye(4) if carrier is None else frame[int(np.argmin(joint))]
     pose = (np.linalg.inv(ride) if carrier is not None else np.eye(4)) @ frame @ poses(position, quaternion)
     gone, axis = (None, None) if rides is None else rides
-    row = Row(task, moves, machine, base, tool, joint, pose, q, conf, named, carrier, ride, gone, axis)
-    if carrier is None:
+    row = Row(task, moves, machine, base, tool, joint, pose, q, conf, named, carrier, ride, gone, axis, rates)
+    if rates is not None:
+        pose[:] = base @ machine.flange(q) @ tool
+    elif carrier is None:
         stands = np.broadcast_to(row.base_behind(slice(1, None)), pose.shape)
         pose[joint] = stands[joint] @ machine.flange(q[joint]) @ tool[joint]
     return row
@@ -341,10 +353,35 @@ def solutions(move: MoveStep, machine: Machine, base: FloatArray) -> inverse_kin
 def flange_at(move: MoveStep, base: FloatArray) -> FloatArray:
     """Flange pose (4, 4) in the base at a move's target, which is a pose in a frame that stands still."""
     target = move.target
-    if isinstance(target, JointTarget):
+    if isinstance(target, JointTarget | PassedTarget):
         return np.full((4, 4), np.nan)
     pose = move.wobj.user @ move.wobj.object @ poses(target.position, target.quaternion)
     return np.asarray(inverse(base) @ pose @ inverse(move.tool.pose))
+
+
+def driven_law(rows: Sequence[Row]) -> TimeLaw:
+    """The law of moves that are driven by trajectories: each takes its own time, the same for all arms, and
+    no corner is rounded."""
+    count = len(rows[0].moves)
+    took = np.max([[move.time or 0.0 for move in row.moves] for row in rows], axis=0)
+    times = np.concatenate([[0.0], np.cumsum(np.maximum(took, 1e-4))])
+    return TimeLaw(times, np.ones(count), np.ones(count), np.zeros(count + 1))
+
+
+def driven_joints(law: TimeLaw, start: FloatArray, row: Row, when: FloatArray) -> FloatArray:
+    """Joints (S, J) [rad] at times ``when`` (S,) of moves that are driven from joints ``start`` (J,) at rest:
+    on each the cubic with the positions and velocities of its two ends, as the controller interpolates."""
+    if row.rates is None:
+        raise TypeError("a row without velocities at its targets")
+    move = np.clip(np.searchsorted(law.times, when, side="left") - 1, 0, len(row.moves) - 1)
+    q = np.concatenate([start[None], row.q])
+    v = np.concatenate([np.zeros((1, q.shape[1])), row.rates])
+    span = np.diff(law.times)[move][:, None]
+    t = (when - law.times[move])[:, None]
+    a, b, va, vb = q[move], q[move + 1], v[move], v[move + 1]
+    c2 = (3.0 * (b - a) - (2.0 * va + vb) * span) / span**2
+    c3 = (2.0 * (a - b) + (va + vb) * span) / span**3
+    return np.asarray(a + t * (va + t * (c2 + t * c3)))
 
 
 def make_law(

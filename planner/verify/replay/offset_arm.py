@@ -130,8 +130,8 @@ def singularity_distance(chain: Chain, q: FloatArray) -> FloatArray:
 
 
 def levers(chain: Chain, tool: float) -> FloatArray:
-    """How far any point of the arm, or of what reaches ``tool`` [m] from its flange, is from each axis at
-    most (6,) [m]: the way over all joints behind it."""
+    """How far any point of any arm, or of what reaches ``tool`` [m] from its flange, is from each axis at
+    most (J,) [m]: the way over all joints behind it."""
     steps = np.linalg.norm(np.diff(chain.zero[:, :3, 3], axis=0), axis=1)
     return np.asarray(np.cumsum(steps[::-1])[::-1] + tool)
 

@@ -229,6 +229,8 @@ class _Player:
         stop = np.concatenate([[True], fine | logic[1:]])
         stop[-1] = True
         for row in rows:  # a corner between a joint move and a straight one has no model: the arm stops there
+            if row.rates is not None:
+                continue
             change = np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1
             for i in change[~stop[change]]:
                 self._fault(
@@ -240,7 +242,12 @@ class _Player:
             stop[change] = True
         joints = [self.q[row.task.arm.name] for row in rows]
         starts = [self._start(row, q) for row, q in zip(rows, joints, strict=True)]
-        law, deltas = make_law(rows, starts, joints, stop)
+        driven = all(row.rates is not None for row in rows)
+        deltas: tuple[FloatArray, ...] = ()
+        if driven:
+            law = moves.driven_law(rows)
+        else:
+            law, deltas = make_law(rows, starts, joints, stop)
         duration = np.diff(law.times)
         total = float(law.times[-1])
         if not self.clock + total <= LONGEST_MOTION:
@@ -270,7 +277,13 @@ class _Player:
         own = [segment_of_name(move.procedure) for move in rows[0].moves]
         self.segments += own
         changes = 1 + np.flatnonzero([a != b for a, b in itertools.pairwise(own)])
-        looks = np.concatenate([law.times[changes], moves.corner_times(law, deltas, float(at[1] - at[0]))])
+        middles = 0.5 * (law.times[1:] + law.times[:-1])
+        corners = (
+            np.append(law.times[1:-1], middles)
+            if driven
+            else moves.corner_times(law, deltas, float(at[1] - at[0]))
+        )
+        looks = np.concatenate([law.times[changes], corners])
         looks = np.setdiff1d(looks, at)
         look_move = np.clip(np.searchsorted(law.times, looks, side="left") - 1, 0, count - 1)
         self._add("between/time", start + looks + shift[look_move])
@@ -359,6 +372,9 @@ class _Player:
             else inverse(carried.start) @ row.tcp(self.q[name])
         )
         count = len(row.moves)
+        if row.rates is not None:
+            self._drive(row, law, at, looks)
+            return
         q, gone = np.empty((len(at), 6)), np.zeros(len(at))
         edges = [0, *(np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1), count]
         here = self.q[name]
@@ -442,6 +458,26 @@ class _Player:
         self._add(f"node_tcp/{name}", world)
         self.tools[name] = row.tool[-1]
         self.q[name] = here if np.isfinite(here).all() else self.q[name]
+
+    def _drive(self, row: Row, law: moves.TimeLaw, at: FloatArray, looks: FloatArray) -> None:
+        """The motion of one arm in a goal that drives its joints."""
+        name, count = row.task.arm.name, len(row.moves)
+        start, tool = self.q[name], row.tool[0]
+        q, tcp, seen = np.empty((len(at), row.q.shape[1])), Poses.empty(len(at)), Poses.empty(len(looks))
+        for some, when in moves.chunks(np.arange(len(at)), at):
+            q[some] = moves.driven_joints(law, start, row, when)
+            tcp[some] = row.base @ row.robot.flange(q[some]) @ tool
+        for some, when in moves.chunks(np.arange(len(looks)), looks):
+            seen[some] = row.base @ row.robot.flange(moves.driven_joints(law, start, row, when)) @ tool
+        self._add(f"q/{name}", q)
+        self.tcp[name].append(tcp)
+        self.between[name].append(seen)
+        self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
+        self._add(f"conf_q/{name}", np.full((count, 6), np.nan))
+        self._add(f"conf_ok/{name}", np.ones(count, dtype=bool))
+        self._add(f"node_tcp/{name}", row.pose)
+        self.tools[name] = tool
+        self.q[name] = row.q[-1]
 
     def _own(self, row: Row, a: int, carried: _Carried | None, q: FloatArray, sample: int) -> FloatArray:
         """TCP (4, 4) of joints in the frame of the row's poses, at a sample, before move a."""

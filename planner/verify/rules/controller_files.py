@@ -124,8 +124,8 @@ def _powered(context: Context, joined: bool) -> list[tuple[str, tuple[TaskText, 
     alone = context.problem.cell.controller.sync == "handshake"
     out: list[tuple[str, tuple[TaskText, ...], list[str]]] = []
     for tasks in controllers(context.problem, context.job.tasks):
-        if tasks[0].script is not None:
-            continue  # a UR controller takes no files: its installation is set at the panel
+        if tasks[0].script is not None or tasks[0].trajectory is not None:
+            continue  # these take no files: an installation is set at the panel, a runner by its cell
         steps = [step for task in tasks for step in task.steps if isinstance(step, SignalStep)]
         own = context.problem.cell.controller.handshake.of(tasks[0].arm.name).output.lower()
         aside = pulsed | ({own} if alone else set())

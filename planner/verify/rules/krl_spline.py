@@ -26,7 +26,7 @@ from planner.verify.job import TaskText
 from planner.verify.krl import spline_curve
 from planner.verify.krl.spline_curve import TURN_LEVER, Bounds
 from planner.verify.krl.syntax_tree import SPLINE_MOVE
-from planner.verify.programs.steps import JointTarget, MoveStep, poses
+from planner.verify.programs.steps import JointTarget, MoveStep, PassedTarget, poses
 from planner.verify.replay import arm_model
 from planner.verify.replay.moves import ACCURACY, ACCURACY_TURN
 from planner.verify.rules.robot_motion import TCP_SLACK
@@ -112,8 +112,9 @@ def blocks(context: Context) -> Iterator[Block]:
 def _block(task: TaskText, moves: list[MoveStep], first: int, end: int) -> Block:
     own = tuple(moves[first:end])
     targets = [move.target for move in moves[max(first - 1, 0) : end]]
-    place = np.array([target.position for target in targets if not isinstance(target, JointTarget)])
-    turn = np.array([target.quaternion for target in targets if not isinstance(target, JointTarget)])
+    joint = JointTarget | PassedTarget
+    place = np.array([target.position for target in targets if not isinstance(target, joint)])
+    turn = np.array([target.quaternion for target in targets if not isinstance(target, joint)])
     work = own[0].wobj.user @ own[0].wobj.object
     times = np.array([move.time or 0.0 for move in own])
     return Block(task, own, np.arange(first, end), poses(place, turn), work, own[0].tool.pose, times)

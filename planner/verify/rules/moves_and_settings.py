@@ -22,6 +22,7 @@ from planner.verify.programs.steps import (
     LoadStep,
     MessageStep,
     MoveStep,
+    PassedTarget,
     RobTarget,
     SettingStep,
     SignalStep,
@@ -60,6 +61,8 @@ def unknown_start(context: Context) -> Outcome:
     limit = min(BLIND_SPEED, context.problem.settings.tcp_speed)
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
+        if task.trajectory is not None:
+            continue  # verify.start_posture: nothing moves from a place that is not known
         if moves:
             share, faults = _rapid(moves[0], limit) if task.rapid else _shares(task, moves[0])
             worst = max(worst, share)
@@ -68,7 +71,9 @@ def unknown_start(context: Context) -> Outcome:
         for move in moves if task.rapid else ():
             found += [at_step(UNKNOWN_START, fault, task, move) for fault in _stated(move)]
     words = "; ".join(f"{stated} ({', '.join(arms)})" for stated, arms in told.items())
-    where, nothing = f"start not known: at most {words}", "" if told else "nothing moves"
+    looked = any(task.trajectory is not None for task in context.job.tasks)
+    none = "each move begins where it was looked at" if looked else "nothing moves"
+    where, nothing = f"start not known: at most {words}", "" if told else none
     return Outcome(tuple(found), 100.0 * worst, 100.0, "% of the speed allowed", where, nothing)
 
 
@@ -267,6 +272,8 @@ def zone_size(context: Context) -> Outcome:
             issues += found
             worst = max(worst, over)
             continue
+        if task.trajectory is not None:
+            continue  # no corner is rounded there
         ways = [straight_way(a, b) for a, b in itertools.pairwise(moves)]
         rides = any(axis.follow is not None for axis in outer_axes(task.arm, None))
         for i, move in enumerate(moves):
@@ -477,6 +484,8 @@ def _still(a: MoveStep, b: MoveStep) -> bool:
     if isinstance(a.target, JointTarget) and isinstance(b.target, JointTarget):
         outer = np.abs(a.target.external - b.target.external).max() > 0.0  # a track goes
         return not outer and bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_TURN)
+    if isinstance(a.target, PassedTarget) and isinstance(b.target, PassedTarget):
+        return bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_TURN)
     if isinstance(a.target, RobTarget | StatusTarget) and isinstance(b.target, RobTarget):
         turn = min(np.abs(a.target.quaternion - s * b.target.quaternion).max() for s in (1.0, -1.0))
         way = straight_way(a, b)

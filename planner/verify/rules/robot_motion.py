@@ -19,7 +19,7 @@ from planner.issues import Issue, TandemError
 from planner.problem import Cell
 from planner.verify.context import Context, Outcome, at_node, at_sample, at_step, mm, rule
 from planner.verify.job import TaskText
-from planner.verify.programs.steps import MoveStep, RobTarget
+from planner.verify.programs.steps import MoveStep, PassedTarget, RobTarget, StatusTarget
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.rules.setups_and_frames import at_home
@@ -72,7 +72,10 @@ def continuity(context: Context) -> Outcome:
     issues, worst = [], 0.0
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
-        for move, word in zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False):
+        edges = zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False)
+        if task.trajectory is not None:  # verify.start_posture has it begin at home
+            edges = zip(moves[-1:], ("last",), strict=False)
+        for move, word in edges:
             if not at_home(move, task.arm.data, task.arm.home):
                 what = f"the {word} move of {task.arm.name} does not go home by its joints"
                 issues.append(at_step("verify.continuity", what, task, move))
@@ -239,6 +242,13 @@ def _rates(
             if share[i] > worst:
                 worst, where = float(share[i]), f"{arm} axis {joint + 1}"
             over |= share > 1.0
+        if task.trajectory is not None:  # samples may lie beside the peak of a short cubic
+            share, line = trajectory_peaks(task, word == "speed")
+            if share > worst:
+                worst, where = share, f"{arm}, line {line}"
+            if share > 1.0 and not over.any():
+                what = f"between two points a joint of {arm} would need {100.0 * share:.1f} % of its {word}"
+                issues.append(Issue(code, what, arm=arm, line=line, file=task.trajectory.program.file))
         nodes = np.unique(context.motion.node[over])
         share = np.abs(rates(arm, slice(None))) / limit if len(nodes) else np.zeros((0, len(limit)))
         for node in nodes[:200]:
@@ -360,6 +370,36 @@ def _straight(context: Context, arm: str) -> BoolArray:
         context.__dict__[key] = flags
     found: BoolArray = context.__dict__[key]
     return found
+
+
+def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
+    """The largest share of a limit that a joint of an arm needs on the cubics of its trajectories, of its
+    ``speed`` or else of its acceleration, and the line of the point behind; exactly, whatever the samples."""
+    robot, here = task.arm.data, task.arm.home
+    worst, line = 0.0, 0
+    before = np.zeros(robot.axes)
+    for step in task.steps:
+        if not isinstance(step, MoveStep) or isinstance(step.target, RobTarget | StatusTarget):
+            continue
+        passed = isinstance(step.target, PassedTarget)
+        q = step.target.joints if passed else robot.from_controller(step.target.joints)
+        v = step.target.rates if isinstance(step.target, PassedTarget) else np.zeros(robot.axes)
+        span = max(step.time or 0.0, 1e-9)
+        mean = (q - here) / span
+        first, last = (
+            (6.0 * mean - 4.0 * before - 2.0 * v) / span,
+            (2.0 * before + 4.0 * v - 6.0 * mean) / span,
+        )
+        if speed:
+            turn = np.clip(first / np.where(first == last, np.inf, first - last), 0.0, 1.0)  # acceleration 0
+            middle = before + span * turn * (first + 0.5 * turn * (last - first))
+            share = np.abs(np.stack([before, v, middle])).max(axis=0) / robot.velocity
+        else:
+            share = np.maximum(np.abs(first), np.abs(last)) / robot.acceleration
+        if share.max() > worst:
+            worst, line = float(share.max()), step.line
+        here, before = q, v
+    return worst, line
 
 
 Models = Callable[[int], CellModel]

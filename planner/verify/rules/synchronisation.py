@@ -24,6 +24,7 @@ from planner.verify.programs.steps import (
     JointTarget,
     MessageStep,
     MoveStep,
+    PassedTarget,
     RobTarget,
     SettingStep,
     SignalStep,
@@ -84,6 +85,12 @@ def sizes(context: Context, task: TaskText) -> tuple[list[Issue], int]:
         if program.moves > limit:
             what = f"{program.file} has {program.moves} moves; allowed: {limit}"
             out.append(Issue("verify.module_size", what, file=program.file, value=program.moves, limit=limit))
+    if task.trajectory is not None:
+        driven = task.trajectory.program
+        most = driven.points
+        if most > limit and task.arm.name == driven.arms[0].arm:
+            what = f"{driven.file} has {most} points; allowed: {limit}"
+            out.append(Issue("verify.module_size", what, file=driven.file, value=most, limit=limit))
     script = None if task.script is None else task.script.program
     if script is not None:
         most = script.moves
@@ -130,7 +137,11 @@ def corners(task: TaskText, moves: tuple[MoveStep, ...]) -> tuple[list[Issue], f
 
 def _apart(a: MoveStep, b: MoveStep) -> tuple[float, float] | None:
     """Way [m] and angle [rad] between the targets of two moves in one frame, None where they have none."""
-    if isinstance(a.target, JointTarget) or not isinstance(b.target, RobTarget) or a.wobj is not b.wobj:
+    if (
+        isinstance(a.target, JointTarget | PassedTarget)
+        or not isinstance(b.target, RobTarget)
+        or a.wobj is not b.wobj
+    ):
         return None
     way = float(np.linalg.norm(a.target.position - b.target.position))
     cosine = abs(float(a.target.quaternion @ b.target.quaternion))

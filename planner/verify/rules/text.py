@@ -217,7 +217,7 @@ def _faults(context: Context, code: str, faults: Iterable[Fault], hint: str) -> 
 
 @rule("verify.syntax")
 def syntax(context: Context) -> Outcome:
-    """The text is RAPID, KRL or URScript, and has one straight way."""
+    """The text is RAPID, KRL, URScript or a file of trajectories, and has one straight way."""
     job = context.job
     faults = [*(f for f in job.faults if f.kind not in _OTHERS), *job.flow]
     faults += [f for task in job.tasks for file, text in task.files.items() for f in strange(file, text)]
@@ -413,7 +413,7 @@ def digest(context: Context) -> Outcome:
             for data in context.data(task, rf"{DIGEST}(_\d+)?")
             if isinstance(data.initial, Literal) and data.kind == "string"
         ]
-        other = task.krl or task.script
+        other = task.krl or task.script or task.trajectory
         text = "".join(str(part) for part in found) if other is None else other.digest
         if text != context.problem.digest:
             message = (

@@ -1,0 +1,1 @@
+"""Joint trajectories for the joint_trajectory_controller of ROS 2."""

@@ -1,0 +1,265 @@
+"""Rules about files of trajectories: where moves begin, what ends them, what falls then, and the way between
+points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from planner.geometry.arrays import FloatArray, IntArray, dots, exp_rotation, log_rotation
+from planner.issues import Issue
+from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
+from planner.verify.job import TaskText
+from planner.verify.programs.steps import JointTarget, MoveStep, PassedTarget
+from planner.verify.replay.arm_model import machine_of
+from planner.verify.rules.setups_and_frames import HOME_ERROR
+from planner.verify.trajectories.rows import (
+    AskRow,
+    AtRow,
+    AwaitRow,
+    DwellRow,
+    MoveRow,
+    Program,
+    Row,
+    SetRow,
+)
+
+SAME_POSTURE: Final = 1e-9
+"""How far [rad] two numbers of one place may differ."""
+WITHIN_GOALS: Final = 2.0
+"""Where a move begins is looked at within so many times what its goal may be off."""
+BETWEEN: Final = 0.1e-3
+"""How far [m] a tool may leave the straight way from point to point,"""
+BETWEEN_TURN: Final = float(np.deg2rad(0.1))
+"""and how far [rad] it may be turned off it."""
+UNEVEN: Final = 2.5
+"""How many times as fast as in the mean a tool may go between two points; a cubic that speeds up evenly from
+rest reaches twice that."""
+_PIECES: Final = 8
+"""Pieces of the way between two points at which its evenness is looked at."""
+_BACK: Final = 0.02e-3
+"""How far [m] a tool may go back in one of them,"""
+_STANDS: Final = 0.1e-3
+"""where points are farther apart than this [m]."""
+_ROUNDED: Final = 1.0 + 1e-6
+_NONE: Final = "no trajectories"
+_AT_ONCE: Final = 16_384
+
+
+def _programs(context: Context) -> Iterator[tuple[TaskText, Program]]:
+    """Each file of trajectories with the first task that it drives."""
+    for task in context.job.tasks:
+        if task.trajectory is not None and task.arm.name == task.trajectory.program.arms[0].arm:
+            yield task, task.trajectory.program
+
+
+def _at(code: str, message: str, program: Program, row: Row, hint: str | None = None) -> Issue:
+    return Issue(code, message, file=program.file, line=row.line, hint=hint)
+
+
+@rule("verify.start_posture")
+def start_posture(context: Context) -> Outcome:
+    """Trajectories: before each move all joints are looked at, within twice what a goal may be off, where the
+    move before has left them, the first time at home."""
+    issues: list[Issue] = []
+    code, worst, limit = "verify.start_posture", 0.0, 0.0
+    for _, program in _programs(context):
+        controller = context.problem.cell.controller
+        limit = WITHIN_GOALS * controller.goal_tolerance
+        homes = {arm.name: arm.home for arm in context.problem.cell.arms}
+        here = np.concatenate([homes[row.arm] for row in program.arms])
+        allowed, before = HOME_ERROR, None
+        for row in program.rows:
+            if isinstance(row, AtRow):
+                worst = max(worst, row.within)
+                if not 0.0 < row.within <= limit * _ROUNDED:
+                    what = (
+                        f"joints are looked at within {np.rad2deg(row.within):g} deg; allowed: above 0, to "
+                    )
+                    issues.append(_at(code, f"{what}{np.rad2deg(limit):g}", program, row))
+                off = np.abs(np.array(row.at) - here)
+                if off.max() > allowed:
+                    place = "home" if allowed == HOME_ERROR else "where the move before ends"
+                    what = f"number {int(np.argmax(off)) + 1} is {np.rad2deg(off.max()):.6f} deg off {place}"
+                    issues.append(_at(code, what, program, row))
+            if isinstance(row, MoveRow):
+                if not isinstance(before, AtRow):
+                    issues.append(
+                        _at(code, "nothing looks right before this move where the joints are", program, row)
+                    )
+                here, allowed = np.array(row.points[-1].q), SAME_POSTURE
+            before = row
+    measure = float(np.rad2deg(worst)), float(np.rad2deg(limit)), "deg"
+    return Outcome(tuple(issues), *measure, nothing="" if limit else _NONE)
+
+
+@rule("verify.goal_tolerances")
+def goal_tolerances(context: Context) -> Outcome:
+    """Trajectories: each move ends where a joint is farther off its way or its goal than the cell states, and
+    where it is late; no tolerance is one that a controller takes for none."""
+    issues: list[Issue] = []
+    code, worst, found = "verify.goal_tolerances", 0.0, False
+    controller = context.problem.cell.controller
+    for _, program in _programs(context):
+        found = True
+        for row in program.rows:
+            if not isinstance(row, MoveRow):
+                continue
+            kinds = (
+                ("path", row.path, controller.path_tolerance),
+                ("goal", row.goal, controller.goal_tolerance),
+            )
+            for word, values, most in kinds:
+                worst = max(worst, max(values) / most)
+                for i, value in enumerate(values):
+                    if not 0.0 < value <= most * _ROUNDED:
+                        got, allowed = np.rad2deg([value, most])
+                        what = f"the {word} tolerance of number {i + 1} is {got:g} deg; allowed: above 0, "
+                        what += f"to {allowed:g}"
+                        issues.append(_at(code, what, program, row))
+            if not 0.0 < row.goal_time <= controller.goal_time * _ROUNDED:
+                what = (
+                    f"the goal may be {row.goal_time:g} s late; allowed: above 0, to {controller.goal_time:g}"
+                )
+                issues.append(_at(code, what, program, row))
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the cell's", nothing="" if found else _NONE)
+
+
+@rule("verify.power_on_failure")
+def power_on_failure(context: Context) -> Outcome:
+    """Trajectories: each step that may not end names all outputs that are on then, and no others, so that the
+    runner takes them back; at the end of the file all are off."""
+    issues: list[Issue] = []
+    code, looked = "verify.power_on_failure", 0
+    for _, program in _programs(context):
+        on: dict[str, str] = {}
+        for row in program.rows:
+            if isinstance(row, SetRow):
+                on = {key: name for key, name in on.items() if key != row.signal.lower()}
+                if row.to:
+                    on[row.signal.lower()] = row.signal
+            if not isinstance(row, AtRow | AskRow | AwaitRow | DwellRow | MoveRow):
+                continue
+            looked += 1
+            named = {name.lower(): name for name in row.on_failure}
+            if left := [name for key, name in on.items() if key not in named]:
+                what = f"{', '.join(left)} stays on where this step does not end; on_failure has to name it"
+                issues.append(_at(code, what, program, row))
+            if more := [name for key, name in named.items() if key not in on]:
+                issues.append(_at(code, f"on_failure names {', '.join(more)}, which is not on", program, row))
+        if on:
+            what = f"{', '.join(on.values())} is on at the end of the file"
+            issues.append(_at(code, what, program, program.rows[-1]))
+    told = f"{looked} steps", "" if looked else _NONE
+    return Outcome(tuple(issues), float(len(issues)), 0.0, "steps", *told)
+
+
+@rule("verify.between_points")
+def between_points(context: Context) -> Outcome:
+    """Trajectories: between two points of work the cubic in joint space keeps the tool on the straight way
+    from one to the other, within 0.1 mm and 0.1 degrees; it never goes back, and goes at most 2.5 times as
+    fast as in the mean."""
+    issues: list[Issue] = []
+    code, worst, found = "verify.between_points", 0.0, False
+    motion = context.motion
+    for task in context.job.tasks:
+        if task.trajectory is None:
+            continue
+        arm, found = task.arm.name, True
+        work, before = _work(context, task)
+        issues += _uneven(context, task)
+        looks = motion.looks
+        rows = np.flatnonzero(work[looks.node])
+        for first in range(0, len(rows), _AT_ONCE):
+            some = rows[first : first + _AT_ONCE]
+            node = looks.node[some]
+            off, turn = _off(before[node], motion.node_tcp[arm][node], motion.poses(arm, looks.row[some]))
+            worst = max(worst, float(off.max(initial=0.0)))
+            bad = np.flatnonzero((off > BETWEEN) | (turn > BETWEEN_TURN))
+            for k in _first_of_each(node[bad], bad)[:20].tolist():
+                what = f"between two points the tool of {arm} is {mm(off[k]):.4f} mm and "
+                what += (
+                    f"{np.rad2deg(turn[k]):.4f} deg off the straight way; allowed: {mm(BETWEEN):g} mm and "
+                )
+                what += f"{np.rad2deg(BETWEEN_TURN):g} deg"
+                measure = (mm(float(off[k])), mm(BETWEEN), "mm")
+                issues.append(at_sample(code, what, motion, arm, int(looks.sample[some[k]]), measure))
+    return Outcome(tuple(issues), mm(worst), mm(BETWEEN), "mm", nothing="" if found else _NONE)
+
+
+def _uneven(context: Context, task: TaskText) -> list[Issue]:
+    """Points before which the tool goes back on its way, or far faster than in the mean: rules on feeds see
+    it from station to station alone."""
+    out: list[Issue] = []
+    machine = machine_of(task.arm.data)
+    here, moves = task.arm.home, [step for step in task.steps if isinstance(step, MoveStep)]
+    rate = np.zeros(task.arm.data.axes)
+    pieces: list[tuple[MoveStep, FloatArray]] = []
+    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
+    ease = share**2 * (3.0 - 2.0 * share)
+    for move in moves:
+        if isinstance(move.target, PassedTarget):
+            end, span, ends = move.target.joints, move.time or 0.0, move.target.rates
+            q = here + ease * (end - here)
+            q = q + span * share * (1.0 - share) * ((1.0 - share) * rate - share * ends)
+            pieces.append((move, q))
+            here, rate = end, ends
+        elif isinstance(move.target, JointTarget):
+            here, rate = task.arm.data.from_controller(move.target.joints), np.zeros(task.arm.data.axes)
+    for first in range(0, len(pieces), _AT_ONCE // _PIECES):
+        some = pieces[first : first + _AT_ONCE // _PIECES]
+        tools = np.array([move.tool.pose for move, _ in some])[:, None]
+        place = (machine.flange(np.array([q for _, q in some])) @ tools)[..., :3, 3]
+        way = place[:, -1] - place[:, 0]
+        length = np.linalg.norm(way, axis=1)
+        steps = np.diff(place, axis=1)
+        along = np.einsum("spi,si->sp", steps, way) / np.maximum(length, 1e-9)[:, None]
+        fast = np.linalg.norm(steps, axis=2).max(axis=1) * _PIECES
+        goes = length > _STANDS
+        bad = goes & ((along.min(axis=1) < -_BACK) | (fast > UNEVEN * length))
+        for k in np.flatnonzero(bad)[:20].tolist():
+            times, back = fast[k] / length[k], mm(max(0.0, -float(along[k].min())))
+            what = f"before this point the tool of {task.arm.name} goes {times:.1f} times as fast as in the "
+            what += f"mean, and back by {back:.3f} mm; allowed: {UNEVEN:g} times, and {mm(_BACK):g} mm"
+            out.append(at_step("verify.between_points", what, task, some[k][0]))
+    return out
+
+
+def _work(context: Context, task: TaskText) -> tuple[FloatArray, FloatArray]:
+    """Which nodes (K,) the arm passes in work, and where its tool (K, 4, 4) is before each."""
+    motion, arm = context.motion, task.arm.name
+    count = len(motion.node_segment)
+    work = np.zeros(count, dtype=bool)
+    for number, stage in enumerate(context.job.stages):
+        moves = stage.moves(task.name)
+        nodes = np.flatnonzero((motion.node_stage == number) & (motion.node_line[arm] > 0))
+        for node, move in zip(nodes, moves, strict=False):
+            work[node] = not move.by_joints
+    before = np.empty((count, 4, 4))
+    before[1:] = motion.node_tcp[arm][:-1]
+    begins = np.flatnonzero(np.append(True, motion.node_stage[1:] != motion.node_stage[:-1]))
+    before[begins] = motion.tcp[arm][np.searchsorted(motion.node, begins)]
+    return work, before
+
+
+def _off(start: FloatArray, end: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far (S,) [m], [rad] poses (S, 4, 4) are off the straight ways from ``start`` to ``end`` (S, 4, 4),
+    turning evenly."""
+    way = end[:, :3, 3] - start[:, :3, 3]
+    turning = log_rotation(np.swapaxes(start[:, :3, :3], 1, 2) @ end[:, :3, :3])
+    gone = pose[:, :3, 3] - start[:, :3, 3]
+    length, angle = np.linalg.norm(way, axis=1), np.linalg.norm(turning, axis=1)
+    turned = log_rotation(np.swapaxes(start[:, :3, :3], 1, 2) @ pose[:, :3, :3])
+    by_way = dots(gone, way) / np.maximum(length, 1e-9) ** 2
+    by_turn = dots(turned, turning) / np.maximum(angle, 1e-9) ** 2
+    share = np.clip(np.where(length > 1e-6, by_way, np.where(angle > 1e-6, by_turn, 0.0)), 0.0, 1.0)
+    off = np.linalg.norm(gone - share[:, None] * way, axis=1)
+    wanted = start[:, :3, :3] @ exp_rotation(share[:, None] * turning)
+    apart = log_rotation(np.swapaxes(wanted, 1, 2) @ pose[:, :3, :3])
+    return off, np.asarray(np.linalg.norm(apart, axis=1))
+
+
+def _first_of_each(node: IntArray, rows: IntArray) -> IntArray:
+    return np.asarray(rows[np.unique(node, return_index=True)[1]]) if len(rows) else rows

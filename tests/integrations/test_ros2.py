@@ -1,0 +1,312 @@
+"""The runner of trajectories goes through proven files with stand-ins for a cell and for the names of ROS 2
+that it uses; no ROS runs here."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from tests.verify import driven_job
+
+PATH = Path(__file__).parents[2] / "integrations" / "ros2" / "tandem_runner.py"
+SPEC = importlib.util.spec_from_file_location("tandem_runner", PATH)
+runner = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(runner)
+
+
+def text():
+    (content,) = driven_job.bent_programs().values()
+    return content
+
+
+def rows():
+    return runner.rows_of(text().encode())
+
+
+class Cell:
+    """A cell that does as it is told, but for ``fails``: {name of a call: at which one, and what it
+    raises}."""
+
+    def __init__(self, fails=None, broken=()):
+        self.fails, self.broken = fails or {}, broken
+        self.calls, self.said = [], []
+        self.here, self.on = None, set()
+
+    def _call(self, name, *what):
+        self.calls.append((name, *what))
+        at, error = self.fails.get(name, (None, None))
+        if at == sum(call[0] == name for call in self.calls):
+            raise error
+
+    def check(self, joints, outputs, inputs):
+        self._call("check", tuple(joints), tuple(outputs), tuple(inputs))
+
+    def posture(self, joints):
+        self._call("posture")
+        if self.here is None:
+            self.here = next(row["at"] for row in rows() if "at" in row)
+        return [value + 0.001 for value in self.here]
+
+    def follow(self, joints, move, points):
+        self.calls.append(("follow", tuple(move["move"]), len(points), frozenset(self.on)))
+        at, error = self.fails.get("follow", (None, None))
+        if at == sum(call[0] == "follow" for call in self.calls):
+            raise error
+        self.here = points[-1]["q"]
+
+    def cancel(self):
+        self._call("cancel")
+
+    def switch(self, name, on):
+        if not on and name in self.broken:
+            raise runner.StoppedError("no answer")
+        self._call("switch", name, on)
+        self.on = self.on | {name} if on else self.on - {name}
+
+    def wait_for(self, name, value, seconds):
+        self._call("wait_for", name, value)
+
+    def ask(self, asked):
+        self._call("ask", asked)
+
+    def tell(self, told):
+        self.said.append(told)
+
+    def sleep(self, seconds):
+        self._call("sleep", seconds)
+
+
+def test_a_file_is_gone_through_to_its_end():
+    cell = Cell()
+    runner.run(rows(), cell)
+    names = [call[0] for call in cell.calls]
+    assert names[0] == "check" and "cancel" not in names
+    assert not cell.on
+    goals = [call for call in cell.calls if call[0] == "follow"]
+    assert len(goals) == names.count("posture") == text().count('"move"')
+    assert [goal[3] for goal in goals if goal[1] == ("left", "right")] == [{"doWirePower"}]
+    assert all(not goal[3] for goal in goals if len(goal[1]) == 1)
+    assert sum(goal[2] for goal in goals) == text().count('"t":')
+    asked = [call[1] for call in cell.calls if call[0] == "ask"]
+    assert asked == [row["ask"] for row in rows() if "ask" in row]
+    assert cell.calls[0][1] == tuple(f"{arm}_joint_{i}" for arm in ("left", "right") for i in range(1, 7))
+
+
+HOT = next(i for i, (row, _) in enumerate(runner.steps(rows())) if row.get("move") == ["left", "right"])
+GOAL = sum("move" in row for row, _ in list(runner.steps(rows()))[: HOT + 1])
+
+
+@pytest.mark.parametrize(
+    ("fails", "said"),
+    [
+        ({"follow": (GOAL, runner.StoppedError("the move did not end: status 6"))}, "status 6"),
+        ({"follow": (GOAL, KeyboardInterrupt())}, "KeyboardInterrupt"),
+        ({"ask": (3, runner.StoppedError("no yes"))}, "no yes"),
+        ({"sleep": (1, KeyboardInterrupt())}, "KeyboardInterrupt"),
+        ({"posture": (GOAL, runner.StoppedError("nothing new is heard"))}, "heard"),
+        ({"switch": (2, runner.StoppedError("not switched"))}, "not switched"),
+    ],
+)
+def test_whatever_fails_power_goes_off_and_nothing_more_moves(fails, said):
+    cell = Cell(fails)
+    with pytest.raises(runner.StoppedError, match=said):
+        runner.run(rows(), cell)
+    names = [call[0] for call in cell.calls]
+    stop = names.index("cancel")
+    assert "follow" not in names[stop:] and "ask" not in names[stop:]
+    assert ("switch", "doWirePower", False) in cell.calls[stop:]
+    assert not cell.on
+
+
+def test_an_output_that_does_not_fall_is_told():
+    cell = Cell({"follow": (GOAL, runner.StoppedError("aborted"))}, broken=("doWirePower",))
+    some = [row for row in rows() if row.get("set") is None or row["to"]]  # the first row switches it off
+    with pytest.raises(runner.StoppedError, match="NOT SWITCHED OFF: doWirePower"):
+        runner.run(some, cell)
+
+
+def test_arms_that_stand_elsewhere_do_not_move():
+    cell = Cell()
+    cell.here = [0.5] * 12
+    with pytest.raises(runner.StoppedError, match="left_joint_1 stands at"):
+        runner.run(rows(), cell)
+    assert not [call for call in cell.calls if call[0] == "follow"]
+    cell = Cell()
+    cell.here = [float("nan")] * 12
+    with pytest.raises(runner.StoppedError, match="stands at nan"):
+        runner.run(rows(), cell)
+
+
+def result(folder, content=None, ok=True, digest=None, name=driven_job.BENT):
+    content = text() if content is None else content
+    (folder / "programs").mkdir()
+    (folder / "programs" / name).write_bytes(content.encode())
+    digest = hashlib.sha256(content.encode()).hexdigest() if digest is None else digest
+    proof = {"ok": ok, "problem_digest": "ab12" * 16, "programs": {name: digest}}
+    (folder / "proof.json").write_text(json.dumps(proof))
+    return folder
+
+
+def test_only_the_file_that_was_proven_is_run(tmp_path):
+    def of(number, **values):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        return result(folder, **values)
+
+    assert runner.proven(of(0)) == rows()
+    for number, (values, said) in enumerate(
+        (
+            ({"ok": False}, "does not hold"),
+            ({"digest": "0" * 64}, "not the file that was proven"),
+            ({"name": "wing.script"}, "one file is run"),
+            ({"content": text().replace('"within":0.006981', '"within":0.906981', 1)}, "closed with"),
+            ({"content": text()[:-40]}, "cut off"),
+            ({"content": text().replace("ab12ab12", "cd34cd34", 1)}, "closed with"),
+        ),
+        start=1,
+    ):
+        with pytest.raises(runner.StoppedError, match=said):
+            runner.proven(of(number, **values))
+    assert runner.main([str(tmp_path / "nowhere")]) == 2
+
+
+class Future:
+    def __init__(self, value):
+        self.value = value
+
+    def result(self):
+        return self.value
+
+    def add_done_callback(self, call):
+        call(self)
+
+
+class Message:
+    def __init__(self, **values):
+        self.__dict__.update(values)
+
+
+class Goal:
+    def __init__(self):
+        self.trajectory = Message()
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    """Stand-ins for the names of ROS 2 that the runner uses."""
+    said = types.SimpleNamespace(
+        goals=[], cancelled=0, status=4, code=0, accepted=True, switched=[], success=True
+    )
+
+    class Action:
+        def __init__(self, node, kind, name):
+            said.action = name
+
+        def wait_for_server(self, timeout_sec):
+            return True
+
+        def send_goal_async(self, goal):
+            said.goals.append(goal)
+            ended = Message(status=said.status, result=Message(error_code=said.code, error_string="why"))
+
+            def cancel():
+                said.cancelled += 1
+
+            return Future(
+                Message(
+                    accepted=said.accepted,
+                    get_result_async=lambda: Future(ended),
+                    cancel_goal_async=cancel,
+                )
+            )
+
+    class Node:
+        def create_subscription(self, kind, name, call, depth):
+            said.__dict__.setdefault("heard", {})[name] = call
+
+        def create_publisher(self, kind, name, depth):
+            return Message(publish=lambda one: None)
+
+        def create_timer(self, period, call):
+            call()
+
+        def create_client(self, kind, name):
+            def call_async(request):
+                said.switched.append((name, request.data))
+                return Future(Message(success=said.success, message=""))
+
+            return Message(wait_for_service=lambda timeout_sec: True, call_async=call_async)
+
+    names = {
+        "control_msgs.action": {"FollowJointTrajectory": type("F", (), {"Goal": Goal})},
+        "control_msgs.msg": {"JointTolerance": Message},
+        "rclpy.action": {"ActionClient": Action},
+        "sensor_msgs.msg": {"JointState": Message},
+        "std_msgs.msg": {"Empty": Message, "Bool": Message},
+        "std_srvs.srv": {"SetBool": type("S", (), {"Request": Message})},
+        "builtin_interfaces.msg": {"Duration": Message},
+        "trajectory_msgs.msg": {"JointTrajectoryPoint": Message},
+    }
+    for name, values in names.items():
+        package = name.partition(".")[0]
+        monkeypatch.setitem(sys.modules, package, types.ModuleType(package))
+        module = types.ModuleType(name)
+        module.__dict__.update(values)
+        monkeypatch.setitem(sys.modules, name, module)
+    said.cell = runner.RosCell(Node(), "/arms")
+    return said
+
+
+def test_goals_have_points_velocities_and_tolerances_by_name(ros):
+    assert ros.action == "/arms/follow_joint_trajectory"
+    joints = [name for row in rows() if "joints" in row for name in row["joints"]]
+    ros.heard["/joint_states"](Message(name=joints[::-1], position=list(range(12))[::-1]))
+    ros.cell.check(joints, ["doWirePower"], [])
+    assert ros.cell.posture(joints) == list(range(12))
+    move, points = next(step for step in runner.steps(rows()) if step[0].get("move") == ["left", "right"])
+    ros.cell.follow(joints, move, points)
+    (goal,) = ros.goals
+    assert goal.trajectory.joint_names == joints
+    times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in goal.trajectory.points]
+    assert times == pytest.approx([row["t"] for row in points], abs=1e-9)
+    assert [p.velocities for p in goal.trajectory.points] == [row["v"] for row in points]
+    assert {t.name: t.position for t in goal.path_tolerance} == dict(zip(joints, move["path"], strict=True))
+    assert len(goal.goal_tolerance) == 12 and goal.goal_time_tolerance.sec == 2
+    ros.cell.switch("doWirePower", True)
+    assert ros.switched == [("/tandem/doWirePower", True)]
+
+
+@pytest.mark.parametrize(("values", "said"), [({"status": 6}, "status 6"), ({"code": -4}, "error -4 why")])
+def test_a_goal_that_is_aborted_stops(ros, values, said):
+    ros.__dict__.update(values)
+    joints = ["a"]
+    move, points = {"path": [0.1], "goal": [0.1], "goal_time": 1.0}, [{"t": 1.0, "q": [0.0], "v": [0.0]}]
+    with pytest.raises(runner.StoppedError, match=said):
+        ros.cell.follow(joints, move, points)
+    ros.cell.cancel()
+    assert ros.cancelled == 1
+    ros.status, ros.code = 4, 0
+    ros.cell.follow(joints, move, points)  # accepted behind the stop: cancelled
+    assert ros.cancelled == 2
+
+
+def test_a_goal_that_is_refused_and_an_output_that_answers_no_stop(ros):
+    ros.accepted, ros.success = False, False
+    move, points = {"path": [0.1], "goal": [0.1], "goal_time": 1.0}, [{"t": 1.0, "q": [0.0], "v": [0.0]}]
+    with pytest.raises(runner.StoppedError, match="refuses"):
+        ros.cell.follow(["a"], move, points)
+    ros.heard["/joint_states"](Message(name=["a"], position=[0.0]))
+    ros.cell.check(["a"], ["x"], [])
+    with pytest.raises(runner.StoppedError, match="x was not switched"):
+        ros.cell.switch("x", True)
+    with pytest.raises(KeyError):
+        ros.cell.posture(["b"])
+    ros.cell.states["a"] = (-10.0, 0.0)
+    with pytest.raises(runner.StoppedError, match="nothing new"):
+        ros.cell.posture(["a"])

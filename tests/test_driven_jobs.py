@@ -1,0 +1,212 @@
+"""Jobs by joint trajectories, end to end: poses with a Panda and an iiwa, a wing cut by a bow on an iiwa, a
+bent wire between two Fanuc; what the language does not do is refused in words."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from planner import pipeline
+from planner.catalogue.robots import data_dir
+from planner.geometry.arrays import inverse, log_rotation
+from planner.issues import TandemError
+from planner.loading import proven
+from planner.post import write
+from planner.post.trajectories import curves, program
+from planner.reading.urdf import read_chain
+from planner.report import setup_sheet
+from tests import test_seven_axes_jobs as seven
+from tests import test_ur_jobs
+from tests.verify import driven_job, small_job, straight_job
+
+PROBLEMS = data_dir("problems")
+TIP = ("base_link", "tool0")
+
+
+def driven(source, **more):
+    source["cell"]["controller"] = {"language": "ros", **more}
+    return source
+
+
+def row(tmp_path, name, turns=0.1):
+    source, table = seven.row_of_poses(turns)
+    return seven.laid(tmp_path, name, driven(source), table)
+
+
+def wing(tmp_path):
+    source = driven(test_ur_jobs.wing())
+    return seven.laid(tmp_path, "iiwa", source)
+
+
+def facing(**more):
+    """The cell of two Fanuc that stand face to face, with the wall that is cut by a bent wire."""
+    source = yaml.safe_load((PROBLEMS / "wave_wall" / "problem.yaml").read_text("utf-8"))
+    source["cell"] = yaml.safe_load((PROBLEMS / "cells" / "two_irb140_facing.yaml").read_text("utf-8"))
+    for arm in source["cell"]["arms"]:
+        arm["robot"] = "crx10ia_l"
+        del arm["home_deg"]
+    return driven(source, **more)
+
+
+def loaded(tmp_path, source):
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(source), "utf-8")
+    return pipeline.load(tmp_path / "problem.yaml")
+
+
+def points(text):
+    """Times, joints and velocities of the longest move, by the rows alone."""
+    moves, out = [], []
+    for line in text.split("\r\n")[:-1]:
+        found = json.loads(line)
+        if "move" in found:
+            out = []
+            moves.append(out)
+        elif "t" in found:
+            out.append((found["t"], found["q"], found["v"]))
+    t, q, v = zip(*max(moves, key=len), strict=True)
+    return np.array(t), np.array(q), np.array(v)
+
+
+def test_seven_joints_are_driven_along_poses_and_proven(tmp_path):
+    problem = row(tmp_path, "panda")
+    made = pipeline.plan(problem)
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    ((name, text),) = made.programs.items()
+    assert name == "small.trajectory.jsonl"
+    t, q, v = points(text)
+    assert q.shape[1] == 7 and (np.diff(t) > 0.0).all() and not v[-1].any()
+    # the tool on the cubics of the text goes straight from pose to pose, by the URDF alone
+    chain, arm = read_chain(seven.TEXTS["panda"], *TIP), problem.cell.arms[0]
+    here = made.plan.operations[0].q["left"]
+    ends = chain.tip(here) @ arm.tool.tcp
+    span = np.diff(t)[:, None]
+    for share in (0.2, 0.5, 0.8):
+        h = share**2 * (3.0 - 2.0 * share)
+        middle = (
+            (1.0 - h) * q[:-1]
+            + h * q[1:]
+            + share * (1.0 - share) * span * ((1.0 - share) * v[:-1] - share * v[1:])
+        )
+        pose = chain.tip(middle) @ arm.tool.tcp
+        away = pose[:, None, :3, 3] - ends[None, :-1, :3, 3]
+        way = np.diff(ends[:, :3, 3], axis=0)
+        along = np.clip((away * way).sum(axis=2) / (way**2).sum(axis=1), 0.0, 1.0)
+        assert np.linalg.norm(away - along[..., None] * way, axis=2).min(axis=1).max() < 0.1e-3
+    for pose in ends:  # and passes each
+        off = inverse(pose) @ chain.tip(np.concatenate([here[:1], q])) @ arm.tool.tcp
+        error = np.linalg.norm(off[:, :3, 3], axis=1) + np.linalg.norm(log_rotation(off[:, :3, :3]), axis=1)
+        assert error.min() < 1e-6
+
+
+def test_the_sheet_says_what_the_controller_must_have_and_nothing_is_uploaded(tmp_path):
+    problem = row(tmp_path, "iiwa")
+    made = pipeline.plan(problem)
+    assert made.proof.ok
+    table = setup_sheet.controller_checks(made.problem, made.plan)
+    assert "joint_trajectory_controller" in str(table) and "j1, j2, j3, j4, j5, j6, j7" in str(table)
+    assert "RAPID" not in str(table)
+    made.save(tmp_path / "out")
+    assert pipeline.verify(problem, pipeline.read_programs(tmp_path / "out")).ok
+    with pytest.raises(TandemError, match="runner"):
+        proven.chosen(proven.Proven(made.problem, {}), None)
+
+
+def test_a_wing_is_cut_by_a_bow_on_seven_axes(tmp_path):
+    made = pipeline.plan(wing(tmp_path))
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    (text,) = made.programs.values()
+    hot = [json.loads(line) for line in text.split("\r\n")[:-1] if '"on_failure":["doWirePower"]' in line]
+    assert [next(iter(line)) for line in hot] == ["dwell", "at", "move"]
+
+
+@pytest.mark.long
+def test_a_wall_is_cut_by_a_bent_wire_between_two_fanuc(tmp_path):
+    prefix = {"left": "left_", "right": "right_"}
+    made = pipeline.plan(loaded(tmp_path, facing(joint_prefix=prefix)))
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    (text,) = made.programs.values()
+    assert points(text)[1].shape[1] == 12
+
+
+def refused(problem):
+    with pytest.raises(TandemError) as caught:
+        pipeline.plan(problem)
+    return caught.value.issues
+
+
+def test_joints_of_one_name_are_refused_and_the_prefix_that_is_told_helps():
+    problem, plan = driven_job.bent_problem(), small_job.plan()
+    controller = dataclasses.replace(problem.cell.controller, joint_prefix={})
+    alike = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
+    with pytest.raises(TandemError) as caught:
+        write.programs(plan, alike)
+    (issue,) = caught.value.issues
+    assert issue.code == "post.name" and "joint_1" in issue.message
+    told = yaml.safe_load(issue.hint.partition("controller: ")[2].partition(", as")[0])
+    controller = dataclasses.replace(controller, **told)
+    cell = dataclasses.replace(problem.cell, controller=controller)
+    assert write.programs(plan, dataclasses.replace(problem, cell=cell)) == driven_job.bent_programs()
+
+
+def test_a_held_block_and_a_torch_are_refused(tmp_path):
+    path = PROBLEMS / "shell_piece_held" / "problem.yaml"
+    source = yaml.safe_load(path.read_text("utf-8"))
+    source["cell"] = yaml.safe_load((path.parent / source["cell"]).read_text("utf-8"))
+    arms = [arm["name"] for arm in source["cell"]["arms"]]
+    source = driven(source, joint_prefix={name: f"{name}_" for name in arms})
+    issues = refused(loaded(tmp_path, source))
+    assert [issue.code for issue in issues] == ["post.load"]
+    assert "holds the block" in issues[0].message
+    assert "torch" in program.no_torch("left").message
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"sync": "handshake"}, "one controller moves all joints"),
+        ({"joint_prefix": {"middle": "m_"}}, "no arm middle"),
+        ({"language": "own", "joint_prefix": {"left": "l_"}}, "language is own"),
+        ({"path_tolerance_deg": 0}, "greater than 0"),
+    ],
+)
+def test_what_does_not_fit_in_a_cell_is_told(tmp_path, change, words):
+    with pytest.raises(TandemError, match=words):
+        loaded(tmp_path, facing(**change))
+
+
+def test_tracks_and_sag_are_refused(tmp_path):
+    for field, value in (("compensate_sag", {}), ("track", {"axis": [1, 0, 0], "range_mm": [0, 1000]})):
+        source = facing()
+        source["cell"]["arms"][0][field] = value
+        with pytest.raises(TandemError, match=field):
+            loaded(tmp_path, source)
+
+
+def test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps(monkeypatch):
+    arm = driven_job.bow_problem().cell.arms[0]
+    one = curves.Driven(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
+    q = straight_job.plan(12).operations[0].q["left"][:3].copy()
+    q[2] = q[0] + 1e-3  # back again
+    took = np.array([0.3, 0.3])
+    with monkeypatch.context() as patched:
+        patched.setattr(curves, "_ROUNDS", 2)
+        with pytest.raises(curves.NotKeptError, match="points do not keep the way"):
+            curves.curve([one], q, took, np.array([False, True]), 0.25)
+        made = curves.curve([one], q, took, np.array([True, True]), 0.25)
+    assert np.count_nonzero(~made.v.any(axis=1)) == 3
+    with monkeypatch.context() as patched:
+        patched.setattr(curves, "KEPT", 1e-12)
+        with pytest.raises(TandemError) as caught:
+            write.programs(straight_job.plan(12), driven_job.bow_problem())
+    (issue,) = caught.value.issues
+    assert issue.code == "post.trajectory" and "top" in issue.message and "stop" in issue.hint
+
+
+def test_arms_of_any_family_may_be_driven():
+    problem = driven_job.bow_problem()
+    assert problem.cell.arms[0].data.family == "ROS"
+    assert dataclasses.replace(problem.cell.arms[0].data, family="ABB").name == "irb140"

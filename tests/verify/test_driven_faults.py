@@ -1,0 +1,108 @@
+"""No fault of what writes trajectories gets a file proven: faults are put into its code, one after the
+other."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from planner.issues import TandemError
+from planner.post import write
+from planner.post.trajectories import curves, program, rows
+from planner.verify.prove import Prover
+from tests.verify import driven_job, small_job, straight_job
+
+JOBS = {
+    "bow": (driven_job.bow_problem, straight_job.claims, lambda: straight_job.plan(driven_job.COUNT)),
+    "bent": (driven_job.bent_problem, small_job.claims, small_job.plan),
+}
+
+
+def changed(function):
+    """A fault that changes what a function gives."""
+    return lambda old: lambda *args, **more: function(old(*args, **more))
+
+
+def nothing(old):
+    """A fault that does nothing at all."""
+    return lambda *args, **more: None
+
+
+def speeds(function):
+    """A fault in the velocities of a curve."""
+    return lambda made: dataclasses.replace(made, v=function(made.v))
+
+
+def half_the_time(made):
+    return dataclasses.replace(made, t=0.5 * made.t)
+
+
+def mirrored(made):
+    q = made.q.copy()
+    q[1:-1, 4] = 2.0 * q[0, 4] - q[1:-1, 4]
+    return dataclasses.replace(made, q=q)
+
+
+def exchanged(made):
+    """The joints of two arms in each other's place."""
+    half = made.q.shape[1] // 2
+    return dataclasses.replace(made, q=np.roll(made.q, half, axis=1), v=np.roll(made.v, half, axis=1))
+
+
+def later_labels(old):
+    return lambda self, made, arms, labels: old(self, made, arms, [labels[0], *labels[:-1]])
+
+
+def only_the_first(old):
+    return lambda self, arms: old(self, arms[:1])
+
+
+def never_on(old):
+    def switch(self, signal, on):
+        old(self, signal, on)
+        self.on = []
+
+    return switch
+
+
+def other_wait(old):
+    return lambda self, action, arm: None if action.kind == "wait" else old(self, action, arm)
+
+
+FAULTS = {
+    "velocities_too_high": ("bow", program, "curve", changed(speeds(lambda v: 4.0 * v))),
+    "velocities_forgotten": ("bent", program, "curve", changed(speeds(np.zeros_like))),
+    "velocities_exchanged": ("bent", program, "curve", changed(speeds(lambda v: np.roll(v, 6, axis=1)))),
+    "no_spline": ("bow", curves, "_velocities", changed(np.zeros_like)),
+    "times_halved": ("bow", program, "curve", changed(half_the_time)),
+    "a_joint_turns_the_other_way": ("bow", program, "curve", changed(mirrored)),
+    "arms_exchanged": ("bent", program, "curve", changed(exchanged)),
+    "few_decimals": ("bow", rows, "number", lambda old: lambda value, decimals: old(value, min(decimals, 2))),
+    "degrees": ("bow", program._Main, "_point", lambda old: lambda s, t, q, v: old(s, t, np.rad2deg(q), v)),
+    "ways_too_fast": ("bow", program, "way_time", changed(lambda time: 0.2 * time)),
+    "labels_late": ("bow", program._Main, "_points", later_labels),
+    "nothing_looks": ("bow", program._Main, "_at", nothing),
+    "nothing_falls": ("bow", program._Main, "_switch", never_on),
+    "nobody_is_asked": ("bent", program._Main, "_ask", nothing),
+    "no_time_to_heat": ("bow", program._Main, "_action", other_wait),
+    "one_arm_of_two": ("bent", program._Main, "_move", only_the_first),
+    "names_without_prefix": ("bent", program, "joint_names", changed(lambda names: [n[-7:] for n in names])),
+    "base_elsewhere": ("bent", rows, "pose", lambda old: lambda pose: old(pose @ pose)),
+    "wrong_count": ("bow", rows, "sealed", lambda old: lambda lines: old(lines[:-1])),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_no_fault_gets_a_file_proven(name, monkeypatch):
+    job, owner, what, fault = FAULTS[name]
+    problem, claims, plan = (make() for make in JOBS[job])
+    clean = driven_job.bow_programs() if job == "bow" else driven_job.bent_programs()
+    monkeypatch.setattr(owner, what, fault(getattr(owner, what)))
+    try:
+        programs = write.programs(plan, problem)
+    except (TandemError, curves.NotKeptError):
+        return  # it is refused, which is no proof
+    assert programs != clean
+    assert not Prover(problem, claims).prove(programs, first_error=True).ok

@@ -1,0 +1,146 @@
+"""Files of trajectories as the planner writes them are proven, of one arm and of two; each kind of fault is
+caught by the rule that is named for it, and seeded mutants are all caught."""
+
+from __future__ import annotations
+
+import functools
+import re
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+
+from planner.claims.claim import StraightWire
+from planner.verify import job
+from planner.verify.prove import Prover
+from planner.verify.replay import moves
+from planner.verify.trajectories import rows as rows_of_text
+from tests.verify import driven_job, provers, small_job, straight_job
+from tests.verify.driven_mutants import BENT, MUTATORS
+
+FULL = 12
+JOBS = {
+    "bow": (driven_job.bow_problem, straight_job.claims, driven_job.bow_programs, MUTATORS),
+    "bent": (driven_job.bent_problem, small_job.claims, driven_job.bent_programs, {**MUTATORS, **BENT}),
+}
+
+
+@functools.cache
+def prover(name):
+    problem, claims, _, _ = JOBS[name]
+    return Prover(problem(), claims())
+
+
+def named_faults():
+    """Each kind once, in turn of either job; those of two arms of theirs."""
+    for count, kind in enumerate({**MUTATORS, **BENT}):
+        yield "bent" if kind in BENT or count % 2 else "bow", kind
+
+
+@pytest.mark.parametrize("name", JOBS)
+def test_clean_files_are_proven_and_every_rule_runs(name):
+    proof = prover(name).prove(JOBS[name][2]())
+    assert [str(issue) for issue in proof.issues] == []
+    assert all(rule.ran for rule in proof.rules)
+    assert proof.ok
+
+
+@pytest.mark.parametrize(("name", "kind"), named_faults())
+def test_the_named_rule_catches_the_fault(name, kind):
+    code, mutate = JOBS[name][3][kind]
+    programs = JOBS[name][2]()
+    mutant = mutate(np.random.default_rng(len(kind)), programs)
+    assert mutant != programs
+    proof = prover(name).prove(mutant, last=code)
+    assert not proof.ok
+    assert code in provers.broken(proof), [str(issue) for issue in proof.issues]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", JOBS)
+def test_no_seeded_mutant_is_proven(name):
+    for kind, (_, mutate) in JOBS[name][3].items():
+        for seed in range(FULL):
+            mutant = mutate(np.random.default_rng(seed), JOBS[name][2]())
+            assert not prover(name).prove(mutant, first_error=True).ok, (kind, seed)
+
+
+def test_line_ends_change_nothing():
+    ((name, text),) = driven_job.bow_programs().items()
+    assert text.isascii() and text.endswith("\r\n")
+    assert prover("bow").prove({name: text.replace("\r\n", "\n")}).ok
+
+
+def test_the_replay_lays_the_cubic_of_positions_and_velocities():
+    """scipy's Hermite spline has the joints that the proof's replay has, at all samples of a goal."""
+    read = job.read(driven_job.bent_problem(), driven_job.bent_programs())
+    assert not read.faults and not read.flow
+    stage = max(read.stages, key=lambda one: len(one.moves("left")))
+    task = read.tasks[0]
+    steps = stage.moves("left")
+    q = np.array([step.target.joints for step in steps])
+    v = np.array([step.target.rates for step in steps])
+    start = q[0] - 0.01
+    t = np.cumsum([step.time for step in steps])
+    row = moves.Row(
+        task, steps, None, np.eye(4), None, np.zeros(len(q), bool), None, q, None, None, None, None, rates=v
+    )
+    law = moves.driven_law([row])
+    when = np.linspace(0.0, t[-1], 5000)
+    wanted = CubicHermiteSpline(
+        np.append(0.0, t), np.concatenate([start[None], q]), np.concatenate([np.zeros((1, 6)), v])
+    )
+    np.testing.assert_allclose(moves.driven_joints(law, start, row, when), wanted(when), atol=1e-12)
+
+
+def test_rows_that_are_none_are_refused_by_what_they_are():
+    ((name, text),) = driven_job.bow_programs().items()
+    lines = text.split("\r\n")[:-1]
+    for row, kind in (
+        ("[]", "syntax"),
+        ("", "syntax"),
+        ('{"dwell":true,"on_failure":[]}', "type"),
+        ('{"dwell":"1","on_failure":[]}', "type"),
+        ('{"dwell":1e3,"on_failure":[]}', "number"),
+        ('{"dwell":99999999.0,"on_failure":[]}', "number"),
+        ('{"on_failure":[],"dwell":1.0}', "syntax"),
+        ('{"tell":"two\\nlines"}', "type"),
+        ('{"tell":"Gr\u00fc\u00dfe"}', "syntax"),
+        ('{"set":"a b","to":1}', "name_form"),
+        ('{"set":"doWirePower","to":2}', "type"),
+        ('{"move":[],"path":[],"goal":[],"goal_time":1.0,"on_failure":["a","A"]}', "name_duplicate"),
+        ("[" * 100_000, "syntax"),
+    ):
+        program, faults = rows_of_text.read(name, "\n".join([*lines[:4], row, *lines[4:], ""]), 10**6)
+        assert program is None
+        assert (faults[0].line, faults[0].kind) == (5, kind), row
+    program, faults = rows_of_text.read(name, text, 1000)
+    assert [fault.kind for fault in faults] == ["file_size"]
+
+
+def test_the_proof_knows_the_arm_by_its_own_chain():
+    """A wire that is claimed elsewhere on the tool is cut elsewhere, whatever the file says."""
+    claims = {
+        name: tuple(
+            StraightWire(c.arm, c.start + 0.002, c.end + 0.002, *(c.radius, c.margin))
+            if isinstance(c, StraightWire)
+            else c
+            for c in own
+        )
+        for name, own in straight_job.claims().items()
+    }
+    proof = Prover(driven_job.bow_problem(), claims).prove(driven_job.bow_programs())
+    assert not proof.ok
+
+
+def test_two_files_are_one_too_many():
+    programs = driven_job.bow_programs()
+    ((_, text),) = programs.items()
+    proof = prover("bow").prove({**programs, "other.trajectory.jsonl": text})
+    assert not proof.ok
+    assert "verify.files" in provers.broken(proof) or "verify.syntax" in provers.broken(proof)
+
+
+def test_joints_are_written_with_nine_decimals():
+    (text,) = driven_job.bow_programs().values()
+    assert len(re.findall(r'"q":\[(-?\d+\.\d{9},){5}-?\d+\.\d{9}\]', text)) == text.count('"q":')
