@@ -64,9 +64,9 @@ class Outcome:
     )
 
     def __repr__(self) -> str:
-        passed = sum(rule.passed for rule in self.proof.rules)
+        held, asked, _ = self.proof.tally
         verdict = "verified" if self.verified else "not verified"
-        rules = f"{passed} of {len(self.proof.rules)} rules"
+        rules = f"{held} of {asked} rules"
         return f"<Outcome of {self.problem.name}: {verdict}, {rules}, {self.plan.duration:.1f} s>"
 
     @property

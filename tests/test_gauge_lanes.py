@@ -43,3 +43,9 @@ def test_it_is_planned_and_proven() -> None:
     assert outcome.verified
     assert outcome.issues == ()
     assert any("TandemCut" in name for name in outcome.programs)
+    of_poses, of_wires = outcome.proof.rule("verify.follows"), outcome.proof.rule("verify.wire_length")
+    assert of_poses.applies
+    assert (of_wires.applies, of_wires.where, of_wires.limit) == (False, "no bent wire", None)
+    held, asked, others = outcome.proof.tally
+    assert held == asked == len(outcome.proof.rules) - others
+    assert others > 30  # wires, sheets, cutters, torches

@@ -166,10 +166,11 @@ def verify(
         out.print(f"{loaded.name}: not read as a whole; each on its own, proven are {partly.share}")
     else:
         _print_issues(proof.issues)
-    passed = sum(rule.passed for rule in proof.rules)
-    out.print(
-        f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}"
+    held, asked, others = proof.tally
+    rules = f"{held} of {asked} rules hold" + (
+        f", {others} ask about what is not done here" if others else ""
     )
+    out.print(f"{loaded.name}: {rules}; {'proven' if proof.ok else 'NOT proven'}")
     _print_accepted(loaded.accept)
     if problem is None:
         _recorded(folder, programs, proof, key is not None)

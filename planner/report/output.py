@@ -96,8 +96,8 @@ def render(
             sections.append(Section("maps", "Maps of freedoms", tuple(map(freedom_map.figure, extra.maps))))
         sections.append(Section("setup", "Setup sheet", (setup_sheet.sheet(problem, plan, proof),)))
     if proof is not None and proof.rules:
-        rules = page_sections.rule_table(proof.rules)
-        sections.append(Section("proof", "Proof from the programs' text", (rules,)))
+        rules = page_sections.rules(proof.rules)
+        sections.append(Section("proof", "Proof from the programs' text", rules))
     sections += _background(plan, extra)
     title = problem.name if problem is not None else "Problem"
     return markup.page(

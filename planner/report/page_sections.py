@@ -139,11 +139,9 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
         for face in shown[:MOST_FACE_TILES]:
             low = face.share < face.wanted_share
             out.append(markup.Tile(f"{face.title} within tolerance", f"{100 * face.share:.1f}", "%", low))
-        held = sum(rule.passed for rule in proof.rules)
+        held, asked, _ = proof.tally
         if proof.rules:
-            out.append(
-                markup.Tile("rules held", f"{held}", f"of {len(proof.rules)}", held < len(proof.rules))
-            )
+            out.append(markup.Tile("rules held", f"{held}", f"of {asked}", held < asked))
     return tuple(out)
 
 
@@ -254,8 +252,20 @@ def _place(issue: Issue) -> markup.Lines:
     return markup.Lines(tuple(v for v in (file, issue.field, issue.arm, target, time, bodies) if v))
 
 
-def rule_table(results: Sequence[RuleResult]) -> markup.Table:
-    """One row for each rule of the proof, failed ones first."""
+def rules(results: Sequence[RuleResult]) -> tuple[Block, ...]:
+    """The rules of the proof, failed ones first; folded those for which the programs have nothing."""
+    out: list[Block] = [_rule_table([rule for rule in results if rule.applies])]
+    nothing = [rule for rule in results if not rule.applies]
+    if nothing:
+        more = "1 more rule asks" if len(nothing) == 1 else f"{len(nothing)} more rules ask"
+        what = f"{more} about what these programs do not do"
+        rows = [(rule.title, rule.where, markup.Code(rule.code)) for rule in nothing]
+        out.append(markup.Folded(what, markup.table(("rule", "why not here", "code"), rows)))
+    return tuple(out)
+
+
+def _rule_table(results: Sequence[RuleResult]) -> markup.Table:
+    """One row for each rule, failed ones first."""
     rows = []
     for rule in sorted(results, key=lambda r: (r.passed, r.ran)):
         word, kind = ("held", "ok") if rule.passed else ("failed", "bad") if rule.ran else ("not run", "off")

@@ -110,6 +110,10 @@ class Client(tandem_client.Client):
         return Issue.from_dict(known)
 
     def _proof(self, data: Mapping[str, Any], part: str) -> Proof:
-        rules = tuple(RuleResult(**rule) for rule in data["rules"])
+        names = {field.name for field in dataclasses.fields(RuleResult)}  # a newer service may have others
+        rules = tuple(
+            RuleResult(**{name: value for name, value in rule.items() if name in names})
+            for rule in data["rules"]
+        )
         issues = tuple(self._issue(issue) for issue in data["issues"])
         return Proof(str(data["problem_digest"]), rules, issues, {}, (), part)

@@ -94,13 +94,15 @@ def outer_axes(arm: Arm, table: Turntable | None) -> tuple[OuterAxis, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What a rule found. ``worst`` and ``limit`` in ``unit``, as a person reads them."""
+    """What a rule found. ``worst`` and ``limit`` in ``unit``, as a person reads them. ``nothing``: why the
+    programs have nothing that the rule asks about, empty where they have."""
 
     issues: tuple[Issue, ...] = ()
     worst: float | None = None
     limit: float | None = None
     unit: str = ""
     where: str = ""
+    nothing: str = ""
 
 
 P = ParamSpec("P")

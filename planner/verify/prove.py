@@ -507,8 +507,12 @@ class _Run:
             else text.with_form_cause(with_remedy(issue))
             for issue in outcome.issues
         ]
-        passed, measure = not has_errors(outcome.issues), (outcome.worst, outcome.limit, outcome.unit)
-        self.results[code] = RuleResult(code, RULE_TITLES[code], passed, *measure, outcome.where)
+        title, passed = RULE_TITLES[code], not has_errors(outcome.issues)
+        if passed and outcome.nothing:
+            self.results[code] = RuleResult(code, title, True, where=outcome.nothing, applies=False)
+            return
+        measure = outcome.worst, outcome.limit, outcome.unit
+        self.results[code] = RuleResult(code, title, passed, *measure, outcome.where or outcome.nothing)
 
     def proof(self) -> Proof:
         rules = tuple(

@@ -33,7 +33,9 @@ class RuleResult:
     """One rule: its issue ``code``, what it says, and how the programs met it.
 
     ``worst`` and ``limit`` are in ``unit`` (as a person reads them), None for rules that only say yes or no.
-    ``ran`` is False where an earlier fault left nothing to look at; such a rule has not passed.
+    ``ran`` is False where an earlier fault left nothing to look at; such a rule has not passed. ``applies``
+    is False where the programs have nothing that the rule asks about, for the reason that is in ``where``;
+    such a rule has passed.
     """
 
     code: str
@@ -44,6 +46,7 @@ class RuleResult:
     unit: str = ""
     where: str = ""
     ran: bool = True
+    applies: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,6 +99,12 @@ class Proof:
     def ok(self) -> bool:
         """Whether every rule ran and passed and no issue is an error."""
         return all(rule.passed for rule in self.rules) and not has_errors(self.issues)
+
+    @property
+    def tally(self) -> tuple[int, int, int]:
+        """How many rules hold, of how many that the programs have something for, and how many others."""
+        asked = [rule for rule in self.rules if rule.applies]
+        return sum(rule.passed for rule in asked), len(asked), len(self.rules) - len(asked)
 
     @property
     def read(self) -> bool:

@@ -17,7 +17,7 @@ from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import markup, motion_charts, output, page_sections, setup_sheet
 from planner.report.output import Extra
-from planner.verify.result import Proof
+from planner.verify.result import Proof, RuleResult
 from tests.post import krl_job
 from tests.report import synthetic_job as job
 from tests.verify import straight_job
@@ -127,6 +127,18 @@ def test_a_photo_is_found_again_in_a_page() -> None:
 
 def test_same_plan_same_page(problem: Problem, plan: Plan, proof: Proof) -> None:
     assert output.render(problem, plan, proof) == output.render(problem, plan, proof)
+
+
+def test_rules_without_anything_to_ask_are_folded_and_not_counted(
+    problem: Problem, plan: Plan, proof: Proof
+) -> None:
+    silent = RuleResult("verify.milled", "The face is milled", True, where="nothing is milled", applies=False)
+    with_it = dataclasses.replace(proof, rules=(*proof.rules, silent))
+    text = output.render(problem, plan, with_it)
+    shown, folded = text.split("1 more rule asks about")[0], text.split("1 more rule asks about")[1]
+    assert "nothing is milled" not in shown
+    assert "nothing is milled" in folded.split("</details>")[0]
+    assert with_it.tally == (*proof.tally[:2], 1)
 
 
 def test_figures_at_a_glance_are_those_of_the_proof(

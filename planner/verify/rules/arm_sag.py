@@ -55,7 +55,7 @@ def sag(context: Context) -> Outcome:
                 measure = (mm(shift[k]), mm(most.most), "mm")
                 issues.append(at_sample(SAG, what, context.motion, name, int(rows[k]), measure))
     if not context.motion.bends and not issues:
-        return Outcome(where="no sag is made up for")
+        return Outcome(nothing="no sag is made up for")
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
 
 

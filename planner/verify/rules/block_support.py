@@ -57,7 +57,7 @@ def rests(context: Context) -> Outcome:
             continue
         told += 1
         issues += [Issue("verify.rests", f"setup {setup.number}: {fault}") for fault in faults]
-    return Outcome(tuple(issues), where="" if told else "only sheets")
+    return Outcome(tuple(issues), nothing="" if told else "only sheets")
 
 
 def _held(setup: Setup) -> Iterator[str]:

@@ -187,7 +187,7 @@ def _kept(
         arm = _arm_of(context, pair)
         issues.append(at_sample(code, message, context.motion, arm, int(rows[i]), measure, pair))
     if not len(rows):
-        return Outcome(tuple(issues), where="nothing moves"), rows, least
+        return Outcome(tuple(issues), nothing="nothing moves"), rows, least
     k = least.worst()
     where = " and ".join(least.pair[k]) if least.pair[k][0] else "nothing near"
     worst = float(everywhere[k])
@@ -268,7 +268,7 @@ def wire_bodies(
             if found.distance[k] < least:
                 least, where = float(found.distance[k]), " and ".join(found.pair[k])
     if not np.isfinite(least):
-        return Outcome(tuple(issues), where="no bent wire"), series
+        return Outcome(tuple(issues), nothing="no bent wire"), series
     return Outcome(tuple(issues), mm(least), mm(limit), "mm", where), series
 
 
@@ -369,10 +369,10 @@ def step_apart(context: Context, models: Models) -> Outcome:
     """Arms that may be one step apart keep clear of each other, and the distance of their tools is off no
     more than allowed, at any two instants of a step."""
     if context.job.readings is None or len(context.job.tasks) != 2:
-        return Outcome(where="one controller")
+        return Outcome(nothing="one controller")
     found = intervals(context)
     if not len(found.first):
-        return Outcome(where="the arms never move at once")
+        return Outcome(nothing="the arms never move at once")
     issues, worst, limit = _drifts(context, found)
     least = np.inf
     for index in range(len(context.setups)):

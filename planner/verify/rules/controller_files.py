@@ -91,7 +91,9 @@ def controller_files(context: Context) -> Outcome:
     for folder in there:
         what = f"{CONTROLLER}/{folder} holds files of another job: no program here needs them"
         issues.append(Issue(CONTROLLER_FILES, what, file=f"{CONTROLLER}/{folder}", hint="take them away"))
-    return Outcome(tuple(issues), where="" if count else "nothing is powered" if not joined else "wires only")
+    return Outcome(
+        tuple(issues), nothing="" if count else "nothing is powered" if not joined else "wires only"
+    )
 
 
 def _one_file(paths: Iterable[str]) -> list[Issue]:

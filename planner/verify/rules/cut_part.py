@@ -84,7 +84,7 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
                 )
             )
     if not faces:
-        return Outcome(where="no face is claimed"), (), ""
+        return Outcome(nothing="no face is claimed"), (), ""
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     outcome = Outcome(
         tuple(issues), 100 * worst.share, 100 * worst.wanted_share, "% within tolerance", worst.title
@@ -179,7 +179,7 @@ def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 sample = int(wire.sample[rows[i]])
                 arm = wire.arms[0]
                 issues.append(at_sample("verify.ridge", message, context.motion, arm, sample, measure))
-    return Outcome(tuple(issues), mm(worst), limit, "mm", where or "no face is claimed")
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where, "" if where else "no face is claimed")
 
 
 def _standing_out(points: FloatArray, inside: BoolArray) -> FloatArray:
@@ -298,7 +298,7 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 issues.append(wire_issue(context, wire, "verify.part", what, int(row[i]), *measure))
     issues += _beside(context, wires, bounds.walls)
     if not np.isfinite(worst):
-        return Outcome(tuple(issues), where="no way in or out in the foam beside the part")
+        return Outcome(tuple(issues), nothing="no way in or out in the foam beside the part")
     return Outcome(tuple(issues), mm(worst), 0.0, "mm left", where)
 
 

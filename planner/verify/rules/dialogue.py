@@ -107,7 +107,9 @@ def message_figures(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     what = f"{name} is told to be {shown:g}; by the motion it is {value:.2f}"
                     issues.append(at_step(DIALOGUE_FIGURES, what, task, one.spoken.step, "plan again"))
     limit = 1.0 if worst else None
-    return Outcome(tuple(issues), worst or None, limit, "of rounding", "" if worst else "no such figures")
+    return Outcome(
+        tuple(issues), worst or None, limit, "of rounding", nothing="" if worst else "no such figures"
+    )
 
 
 # ---- the straight ways ----

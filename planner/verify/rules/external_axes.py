@@ -77,9 +77,8 @@ def external_axes(context: Context) -> Outcome:
     if table is not None:
         issues += _moved(context, table)
         issues += _turned(context, table)
-    return Outcome(
-        tuple(issues), where="; ".join(told) or "no arm stands on a track, no block on a turntable"
-    )
+    nothing = "" if told else "no arm stands on a track, no block on a turntable"
+    return Outcome(tuple(issues), where="; ".join(told), nothing=nothing)
 
 
 def _stations(context: Context, axis: OuterAxis) -> list[float]:

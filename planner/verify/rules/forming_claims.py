@@ -100,7 +100,7 @@ def forming_claims(context: Context, forming: Forming) -> Outcome:
         issues += _all_there(made.part, made, group)
         issues += _states(made, group)
     if not forming.parts:
-        return Outcome(tuple(issues), where=NO_PART)
+        return Outcome(tuple(issues), nothing=NO_PART)
     if not np.isfinite(worst):
         return Outcome(tuple(issues))
     return Outcome(tuple(issues), 100.0 * worst, 100.0 * GAP, "% of the thickness", where)

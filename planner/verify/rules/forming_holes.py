@@ -72,7 +72,7 @@ def forming_holes(context: Context, forming: Forming) -> Outcome:
                     holes += cut
                     issues += unread
     if not where:
-        return Outcome(tuple(issues), where=NO_HOLES)
+        return Outcome(tuple(issues), nothing=NO_HOLES)
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
 
 

@@ -53,7 +53,7 @@ def level(context: Context, forming: Forming) -> Outcome:
                 worst, limit, where = off, mm(OFF_STEP * one.step), str(one.claim.segment)
         issues += found
     if limit is None:
-        return Outcome(tuple(issues), where="" if issues else NOTHING)
+        return Outcome(tuple(issues), nothing="" if issues else NOTHING)
     return Outcome(tuple(issues), mm(worst), limit, "mm beyond its heights", where)
 
 

@@ -93,7 +93,7 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
         if made.part.features is not None or len(made.own) > 1:
             issues += _stands_out(context, made)
     if not np.isfinite(worst):
-        return Outcome(tuple(issues), where=NO_PART)
+        return Outcome(tuple(issues), nothing=NO_PART)
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
 
 

@@ -66,7 +66,7 @@ def gouge(context: Context, forming: Forming) -> Outcome:
             row = int(one.track.rows[one.pieces.last[i]])
             issues.append(at_sample("verify.gouge", what, context.motion, claim.arm, row, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NOTHING_FORMED)
+        return Outcome(tuple(issues), nothing=NOTHING_FORMED)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -108,7 +108,7 @@ def formed(
             )
             issues.append(_of_face("verify.formed", what, claim.segment, lifted, LIFTED_SHARE))
     if not faces:
-        return Outcome(tuple(issues), where=NOTHING_FORMED), ()
+        return Outcome(tuple(issues), nothing=NOTHING_FORMED), ()
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     share, wanted = 100 * worst.share, 100 * worst.wanted_share
     return Outcome(tuple(issues), share, wanted, "% within the scallop", worst.title), tuple(faces)
@@ -170,7 +170,7 @@ def feature_order(context: Context, forming: Forming) -> Outcome:
                 for name in full[len(there) :]
                 if name in wanted
             ]
-    return Outcome(tuple(issues), where="" if claims else NOTHING_FORMED)
+    return Outcome(tuple(issues), nothing="" if claims else NOTHING_FORMED)
 
 
 @rule("verify.forming_feed", FormingFeed)
@@ -209,7 +209,7 @@ def feed(context: Context, forming: Forming) -> Outcome:
         if one.claim.segment.key not in fed
     ]
     if not claims:
-        return Outcome(tuple(issues), where=NOTHING_FORMED)
+        return Outcome(tuple(issues), nothing=NOTHING_FORMED)
     return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
 
 
@@ -241,7 +241,7 @@ def lean(context: Context, forming: Forming) -> Outcome:
                 row = int(way.rows[rows[i]])
                 issues.append(at_sample("verify.lean", what, context.motion, arm, row, (got, most, "deg")))
     if not np.isfinite(worst):
-        return Outcome(tuple(issues), where=NOTHING_FORMED)
+        return Outcome(tuple(issues), nothing=NOTHING_FORMED)
     return Outcome(tuple(issues), float(np.rad2deg(worst + limit)), float(np.rad2deg(limit)), "deg", where)
 
 
@@ -310,7 +310,9 @@ def sheet(context: Context, forming: Forming) -> Outcome:
                     sample = int(way.rows[row[i]])
                     issues.append(at_sample("verify.sheet", what, context.motion, arm, sample, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NOTHING_FORMED if not forming.formed else "nothing near")
+        if forming.formed:
+            return Outcome(tuple(issues), where="nothing near")
+        return Outcome(tuple(issues), nothing=NOTHING_FORMED)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -449,7 +451,7 @@ def holder(context: Context, forming: Forming) -> Outcome:
         if limit is None or off - claim.step > worst - limit:
             worst, limit, where = off, claim.step, str(claim.segment)
     if limit is None:
-        return Outcome(tuple(issues), where="no clamp sinks")
+        return Outcome(tuple(issues), nothing="no clamp sinks")
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
 
 

@@ -66,7 +66,7 @@ def gap(context: Context, forming: Forming) -> Outcome:
         issues += _facing(context, one)
         issues += _a_step_apart(context, one)
     if limit is None:
-        return Outcome(tuple(issues), where="no gap is claimed" if forming.formed else NOTHING_FORMED)
+        return Outcome(tuple(issues), nothing="no gap is claimed" if forming.formed else NOTHING_FORMED)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -260,7 +260,7 @@ def border(context: Context, forming: Forming) -> Outcome:
                 row = int(way.rows[rows[which[i]]])
                 issues.append(at_sample("verify.border", told, context.motion, claim.arm, row, measure))
     if limit is None:
-        return Outcome(tuple(issues), where="no border is supported")
+        return Outcome(tuple(issues), nothing="no border is supported")
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -363,7 +363,7 @@ def opposite(context: Context, forming: Forming) -> Outcome:
             row = int(way.rows[rows[i]])
             issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
     if limit is None:
-        return Outcome(tuple(issues), where="no tool follows another")
+        return Outcome(tuple(issues), nothing="no tool follows another")
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -416,7 +416,7 @@ def by_table(context: Context, forming: Forming) -> Outcome:
         issues += _upright(context, way)
         issues += _ways(context, way)
     if limit is None:
-        return Outcome(tuple(issues), where="no table is followed")
+        return Outcome(tuple(issues), nothing="no table is followed")
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 

@@ -40,7 +40,7 @@ def follows(context: Context) -> Outcome:
             worst = max(worst, off)
             limits.append(claim.position_tol)
     if not limits:
-        return Outcome(where="no such claim")
+        return Outcome(nothing="no such claim")
     return Outcome(tuple(issues), worst, mm(max(limits)), "mm")
 
 

@@ -181,7 +181,7 @@ def handshake(context: Context) -> Outcome:
     of them are stopped, paused and started anew, none works beside one that is elsewhere."""
     readings = context.job.readings
     if readings is None:
-        return Outcome(where="one controller")
+        return Outcome(nothing="one controller")
     wiring = job.wiring(context.problem)
     issues = _unfit(context)
     issues += _wired_wrong(context, wiring)
@@ -194,7 +194,7 @@ def handshake(context: Context) -> Outcome:
             lone = [a for a in readings[task.name].actions if a.kind in ("set", "wait")]
             what = "there is no other program to answer this"
             issues += [at_step(HANDSHAKE, what, task, task.steps[action.line]) for action in lone[:1]]
-        return Outcome(tuple(issues), where="one program")
+        return Outcome(tuple(issues), nothing="one program")
     issues += [
         issue for task in context.job.tasks if task.script is not None for issue in _watched(context, task)
     ]

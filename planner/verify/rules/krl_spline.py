@@ -126,7 +126,7 @@ def spline(context: Context) -> tuple[Outcome, Context]:
     than allowed."""
     found = list(blocks(context))
     if not found:
-        return Outcome(where="no spline block"), context
+        return Outcome(nothing="no spline block"), context
     issues = _refused(context, found)
     if issues:
         return Outcome(tuple(issues)), context

@@ -218,7 +218,7 @@ def milled(context: Context, milling: Milling) -> tuple[Outcome, tuple[CutFace, 
             measure = {"value": 100 * face.share, "limit": 100 * claim.share, "unit": "%"}
             issues.append(Issue("verify.milled", what, field=face.title, **measure))  # type: ignore[arg-type]
     if not faces:
-        return Outcome(tuple(issues), where=NOTHING_MILLED), ()
+        return Outcome(tuple(issues), nothing=NOTHING_MILLED), ()
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     share, wanted = 100 * worst.share, 100 * worst.wanted_share
     return Outcome(tuple(issues), share, wanted, "% within tolerance", worst.title), tuple(faces)
@@ -287,7 +287,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
                 row = int(rows[there.place[i]])
                 issues.append(at_sample("verify.mill_gouge", what, context.motion, claim.arm, row, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NOTHING_MILLED)
+        return Outcome(tuple(issues), nothing=NOTHING_MILLED)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
@@ -369,7 +369,7 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         if found.missed:
             word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"
             issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=str(claim.segment)))
-    return Outcome(tuple(issues), worst, limit, "of what is allowed", where or NOTHING_MILLED)
+    return Outcome(tuple(issues), worst, limit, "of what is allowed", where, "" if where else NOTHING_MILLED)
 
 
 def _small(claim: MillsAlong) -> bool:
@@ -452,7 +452,12 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
     lacks = sorted(label for label in _labels(context) if label not in fed)
     issues += [Issue("verify.mill_feed", f"{label} has no feed", field=label) for label in lacks]
     return Outcome(
-        tuple(issues), worst or None, FEED_SLACK if worst else None, "of the feed", where or NOTHING_MILLED
+        tuple(issues),
+        worst or None,
+        FEED_SLACK if worst else None,
+        "of the feed",
+        where,
+        "" if where else NOTHING_MILLED,
     )
 
 
@@ -508,7 +513,7 @@ def spindle(context: Context, milling: Milling) -> Outcome:
                     measure = (float(max(on[i], 0.0)), claim.heat_up, "s")
                     row = int(track.rows[inside[i]])
                     issues.append(at_sample("verify.spindle", what, motion, arm.name, row, measure))
-    return Outcome(tuple(issues), where="" if seen else NOTHING_MILLED)
+    return Outcome(tuple(issues), nothing="" if seen else NOTHING_MILLED)
 
 
 def _arm(milling: Milling, index: int, claim: FeedWindow) -> str:

@@ -68,8 +68,8 @@ def unknown_start(context: Context) -> Outcome:
         for move in moves if task.rapid else ():
             found += [at_step(UNKNOWN_START, fault, task, move) for fault in _stated(move)]
     words = "; ".join(f"{stated} ({', '.join(arms)})" for stated, arms in told.items())
-    where = f"start not known: at most {words}" if told else "nothing moves"
-    return Outcome(tuple(found), 100.0 * worst, 100.0, "% of the speed allowed", where)
+    where, nothing = f"start not known: at most {words}", "" if told else "nothing moves"
+    return Outcome(tuple(found), 100.0 * worst, 100.0, "% of the speed allowed", where, nothing)
 
 
 def _rapid(move: MoveStep, limit: float) -> tuple[float, list[str]]:
@@ -145,7 +145,7 @@ def undo(context: Context) -> Outcome:
                     )
                     for fault in faults
                 ]
-    return Outcome(tuple(issues), where="" if wanted else "no power and no block")
+    return Outcome(tuple(issues), nothing="" if wanted else "no power and no block")
 
 
 def powers(context: Context, task: TaskText) -> list[str]:

@@ -66,7 +66,7 @@ class _Found:
         """The outcome of the rule."""
         told = ", ".join(f"{count} places of {file}" for file, count in self.looked.items())
         if not self.looked:
-            return Outcome(tuple(self.issues), where=told or "no operation makes what the problem states")
+            return Outcome(tuple(self.issues), nothing="no operation makes what the problem states")
         return Outcome(tuple(self.issues), 100 * self.share, 100 * self.limit, "% as read again", told)
 
 

@@ -207,7 +207,7 @@ def rod_limits(context: Context) -> Outcome:
                 )
             )
     if not np.isfinite(least):
-        return Outcome(where="no parallel-rod arm")
+        return Outcome(nothing="no parallel-rod arm")
     return Outcome(tuple(issues), float(np.rad2deg(least)), 0.0, "deg margin")
 
 

@@ -219,7 +219,7 @@ def load(context: Context) -> Outcome:
                         issues.append(at_step("verify.load", what, task, step, "GripLoad load0 first"))
                         known = None
     return Outcome(
-        tuple(issues), where="" if any(s.stock_holders for s in context.setup_claims) else "nothing is held"
+        tuple(issues), nothing="" if any(s.stock_holders for s in context.setup_claims) else "nothing is held"
     )
 
 
@@ -309,7 +309,7 @@ def setup(context: Context) -> Outcome:
             issues.append(_at(place, f"setup {here.number} is confirmed {what}"))
         issues += _standing(context, place, here.number, first=index == 0)
     issues += _lookalikes(context)
-    return Outcome(tuple(issues), where="" if any(s.steps for s in context.setups) else "one setup")
+    return Outcome(tuple(issues), nothing="" if any(s.steps for s in context.setups) else "one setup")
 
 
 def _unasked(context: Context) -> list[Issue]:

@@ -121,7 +121,7 @@ def springback(context: Context, forming: Forming) -> Outcome:
         if off >= worst:
             worst, where = off, one.claim.operation
     if not forming.told:
-        return Outcome(tuple(issues), where=NOTHING)
+        return Outcome(tuple(issues), nothing=NOTHING)
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of how far two meshes may be off", where)
 
 

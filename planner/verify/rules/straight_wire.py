@@ -63,7 +63,7 @@ def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             measure = (mm(float(short[k])), mm(margin), "mm")
             issues.append(wire_issue(context, wire, "verify.bow", what, int(k), *measure))
     if not np.isfinite(least):
-        return Outcome(tuple(issues), where="no straight wire in the foam")
+        return Outcome(tuple(issues), nothing="no straight wire in the foam")
     return Outcome(tuple(issues), mm(least), limit, "mm")
 
 
@@ -129,7 +129,7 @@ def kerf(context: Context, faces: tuple[CutFace, ...], wires: tuple[Wire, ...]) 
                 bound = mm(claim.upper if bad is wide else claim.lower)
                 value = {"value": mm(float(width[k])), "limit": bound, "unit": "mm"}
                 issues.append(Issue("verify.kerf", what, field=str(claim.segment), **value))  # type: ignore[arg-type]
-    return Outcome(tuple(issues), worst, limit, "of the bounds", where or "no such claim")
+    return Outcome(tuple(issues), worst, limit, "of the bounds", where, "" if where else "no such claim")
 
 
 def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
@@ -172,7 +172,7 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 issues += _missed(claim, name, guide, float(half.max()), passes)
         if not seen:
             issues.append(Issue("verify.rulings", f"{claim.segment} is not cut", field=str(claim.segment)))
-    return Outcome(tuple(issues), mm(worst), limit, "mm", where or "no such claim")
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where, "" if where else "no such claim")
 
 
 def between(points: FloatArray, speed: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -337,7 +337,7 @@ def slit(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 for what, row, got, limit in _faults(one, allowed)
             ]
     if not where and not leads:
-        return Outcome(tuple(issues), where="no slit through the part and no stated lead")
+        return Outcome(tuple(issues), nothing="no slit through the part and no stated lead")
     return Outcome(tuple(issues), worst, 1.0, "of what is allowed", where or str(leads[0].segment))
 
 

@@ -167,8 +167,9 @@ def status(context: Context) -> Outcome:
                 wrong, axes = _chosen(context, task, move, move.target)
                 issues += [at_step("verify.status", what, task, move) for what in wrong]
                 near += [f"axis {axis} at {move.target_name}" for axis in axes]
-    told = f"{targets} targets"
-    return Outcome(tuple(issues), where=f"{told}; near zero: {', '.join(near)}" if near else told)
+    told = f"{targets} targets" if targets else ""
+    where = f"{told}; near zero: {', '.join(near)}" if near else told
+    return Outcome(tuple(issues), where=where, nothing="" if targets else "no target states Status and Turn")
 
 
 def _chosen(
@@ -452,7 +453,8 @@ def wire_alone(context: Context) -> Outcome:
                 if (not stage.synchronised or stage.is_way) and runs and runs[0][0] < number < runs[-1][-1]
             ]
             issues += lone[:1] or [Issue("verify.wire_alone", message, hint=hint)]
-    return Outcome(tuple(issues))
+    there = bool(context.contacts) or any(setup.joined for setup in context.setup_claims)
+    return Outcome(tuple(issues), nothing="" if there else "no wire and no spindle")
 
 
 def _moves_with_power(context: Context) -> list[Issue]:

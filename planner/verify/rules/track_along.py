@@ -56,8 +56,8 @@ def track_along(context: Context) -> Outcome:
                     measure = (mm(value[k]), mm(limit), unit)
                     sample, arm = int(rows[k]), task.arm.name
                     issues.append(at_sample(_CODE, what, context.motion, arm, sample, measure))
-    told = where or "no track goes along"
-    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the limit", told)
+    nothing = "" if where else "no track goes along"
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the limit", where, nothing)
 
 
 def _shares(

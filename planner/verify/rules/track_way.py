@@ -86,7 +86,7 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
             ended = context.problem.stations.get(setup.operations[0], {}).get(f"{axis.carries}{END}")
             at = at if ended is None else {**at, axis.carries: ended}
     if not np.isfinite(worst):
-        return Outcome(tuple(issues), where="no track or turntable moves")
+        return Outcome(tuple(issues), nothing="no track or turntable moves")
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", f"{where}, {looks} looks")
 
 

@@ -97,7 +97,7 @@ def trim_cut(context: Context, trimming: Trimming) -> Outcome:
             if left > worst:
                 worst, limit, where = left, mm(work.claim.tolerance + work.sheet.tolerance), curve.one.name
     if limit is None:
-        return Outcome(tuple(issues), where="" if issues else NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing="" if issues else NOTHING_TRIMMED)
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 
@@ -271,7 +271,7 @@ def trim_kept(context: Context, trimming: Trimming) -> Outcome:
             row = int(way.rows[i])
             issues.append(at_sample("verify.trim_kept", what, context.motion, work.claim.arm, row, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 
@@ -341,7 +341,7 @@ def trim_torch(context: Context, trimming: Trimming) -> Outcome:
                     at_sample("verify.trim_torch", f"in {key} {said}", context.motion, claim.arm, row)
                 )
     if not where:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
 
 
@@ -381,7 +381,7 @@ def trim_arc(context: Context, trimming: Trimming) -> Outcome:
             for i in dark[:1]:
                 what = f"{claim.signal} is off in {key}: nothing is cut there"
                 issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
-    return Outcome(tuple(issues), where=f"{count} slots" if torches else NOTHING_TRIMMED)
+    return Outcome(tuple(issues), where=f"{count} slots", nothing="" if torches else NOTHING_TRIMMED)
 
 
 def _under_way(work: TrimWork, begin: float, end: float) -> tuple[BoolArray, int]:
@@ -525,7 +525,9 @@ def trim_order(context: Context, trimming: Trimming) -> Outcome:
             if spans[a][1] > spans[b][0]:
                 what = f"{outer.one.name} is begun before {inner.one.name}, which lies in it, is cut"
                 issues.append(Issue("verify.trim_order", what, field=outer.one.name, arm=work.claim.arm))
-    return Outcome(tuple(issues), where=f"{pairs} within others" if trimming.works else NOTHING_TRIMMED)
+    return Outcome(
+        tuple(issues), where=f"{pairs} within others", nothing="" if pairs else "no outline within another"
+    )
 
 
 @rule("verify.trim_feed", TrimsSheet)
@@ -573,7 +575,7 @@ def trim_feed(context: Context, trimming: Trimming) -> Outcome:
             what += f"{100 * claim.least_feed:.0f} %"
             issues.append(Issue("verify.trim_feed", what, field=key, value=mean, limit=claim.least_feed))
     if not where:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
 
 
@@ -628,7 +630,7 @@ def trim_clear(context: Context, trimming: Trimming) -> Outcome:
             sample = int(work.track.rows[row])
             issues.append(at_sample("verify.trim_clear", what, context.motion, claim.arm, sample, measure))
     if limit is None:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), mm(worst), limit, "mm", where)
 
 

@@ -58,7 +58,7 @@ def trim_knife(context: Context, trimming: Trimming) -> Outcome:
                 worst, where = value, key
         issues += _backwards(context, work, own, key)
     if not where:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
 
 

@@ -63,7 +63,7 @@ def trim_mill(context: Context, trimming: Trimming) -> Outcome:
                 worst, where = value, key
     issues += _dies(context, trimming)
     if not where:
-        return Outcome(tuple(issues), where=NOTHING_TRIMMED)
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
 
 
@@ -287,4 +287,4 @@ def trim_spindle(context: Context, trimming: Trimming) -> Outcome:
             measure = (float(max(on[i], 0.0)), own.spin_up, "s")
             row = int(track.rows[rows[i]])
             issues.append(at_sample(SPINDLE, what, motion, claim.arm, row, measure))
-    return Outcome(tuple(issues), where=f"{count} slots" if count else NOTHING_TRIMMED)
+    return Outcome(tuple(issues), where=f"{count} slots", nothing="" if count else NOTHING_TRIMMED)

@@ -88,7 +88,7 @@ def power_idle(context: Context) -> Outcome:
             worst = max(worst, walk.worst)
     issues += _unclaimed(context)
     if not context.contacts:
-        return Outcome(tuple(issues), where="no power")
+        return Outcome(tuple(issues), nothing="no power")
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the time allowed")
 
 

@@ -74,7 +74,7 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         )
         issues.append(Issue("verify.wire_length", what))
     if not context.phases:
-        return Outcome(tuple(issues), where="no bent wire")
+        return Outcome(tuple(issues), nothing="no bent wire")
     return Outcome(tuple(issues), 100.0 * worst, 100.0 * TAUT_SHARE, "% of its length", where)
 
 
@@ -110,7 +110,7 @@ def wire_stability(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         None if not np.isfinite(least) else least,
         0.0,
         "of the first mode",
-        "" if wires else "no wire",
+        nothing="" if any(wire.path is not None for wire in wires) else "no bent wire",
     )
 
 
@@ -145,7 +145,7 @@ def curvature(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 )
             )
     if not np.isfinite(limit):
-        return Outcome(where="no bent wire")
+        return Outcome(nothing="no bent wire")
     return Outcome(tuple(issues), worst, limit, "1/m")
 
 
@@ -167,7 +167,7 @@ def contact(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             measure = mm(float(wire.depth[k])), 0.0, "mm"
             issues.append(wire_issue(context, wire, "verify.contact", message, int(k), *measure))
     if not np.isfinite(worst):
-        return Outcome(tuple(issues), where="no wire")
+        return Outcome(tuple(issues), nothing="no wire")
     return Outcome(tuple(issues), mm(worst), 0.0, "mm")
 
 
@@ -182,7 +182,7 @@ def stop_in_foam(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             side = "inside" if wire.depth[k] > 0.0 else "off"
             message = f"the wire stops {mm(abs(wire.depth[k])):.2f} mm {side} the block"
             issues.append(wire_issue(context, wire, "verify.stop_in_foam", message, int(k)))
-    return Outcome(tuple(issues))
+    return Outcome(tuple(issues), nothing="" if wires else "no wire")
 
 
 @rule("verify.feed", FeedWindow)
@@ -219,7 +219,9 @@ def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                         "mm/s",
                     )
                 )
-    return Outcome(tuple(issues), worst, limit, "of the window", where)
+    return Outcome(
+        tuple(issues), worst, limit, "of the window", where, "" if context.feeds else "no feed is claimed"
+    )
 
 
 def feed_speed(context: Context, wire: Wire) -> FloatArray:
@@ -256,7 +258,7 @@ def wire_mount(context: Context) -> Outcome:
         if not confirms or confirms[-1] < here[1]:
             message = f"wire {number + 1}: nobody confirms that it is off before the arms move alone again"
             issues.append(Issue("verify.wire_mount", message, hint="ask the operator first"))
-    return Outcome(tuple(issues), where="" if context.phases else "no wire")
+    return Outcome(tuple(issues), nothing="" if context.phases else "no wire")
 
 
 def moving(context: Context, phase: Phase) -> tuple[int, int]:
@@ -362,7 +364,7 @@ def wire_power(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 issues += _power_at_hands(context, wire.phase, claim.signal)
     for signal in sorted({claim.signal for claim in context.contacts}):
         issues += _power_elsewhere(context, signal)
-    return Outcome(tuple(issues), where="" if wires else "no wire")
+    return Outcome(tuple(issues), nothing="" if wires else "no wire")
 
 
 def _switching(context: Context, wire: Wire, signal: str) -> list[tuple[float, float]]:

@@ -406,7 +406,7 @@ def test_a_ruled_surface_called_like_an_outline_is_none_of_a_plate(drawings, nam
 def test_what_no_operation_makes_is_not_looked_at(drawings) -> None:
     found = judged(RULED, RULED, drawings, (SimpleNamespace(trim=("top",)),))
     assert not found.issues
-    assert found.where == "no operation makes what the problem states"
+    assert found.nothing == "no operation makes what the problem states"
 
 
 # ---- sheets ----

@@ -165,5 +165,5 @@ def test_a_block_that_is_held_in_motion_is_refused():
 
 def test_one_controller_has_nothing_to_prove_here():
     there = Context(small_job.problem(), small_job.claims(), small_job.programs(8))
-    assert handshake.handshake(there).where == "one controller"
-    assert clearance_rules.step_apart(there, lambda index: None).where == "one controller"
+    assert handshake.handshake(there).nothing == "one controller"
+    assert clearance_rules.step_apart(there, lambda index: None).nothing == "one controller"
