@@ -297,10 +297,16 @@ def _line(a: FloatArray, b: FloatArray, step: float) -> FloatArray:
 
 def _shorten(way: FloatArray, free: Free, step: float, rng: np.random.Generator) -> FloatArray:
     points = list(way)
+    blocked: set[tuple[int, int]] = set()  # few points are left soon, and the same ones are drawn again
     for _ in range(SHORTCUT_TRIES):
         if len(points) < 3:
             break
-        i, j = sorted(rng.choice(len(points), 2, replace=False))
-        if j - i > 1 and _line_free(points[i], points[j], free, step):
+        i, j = sorted(rng.choice(len(points), 2, replace=False).tolist())
+        if j - i < 2 or (i, j) in blocked:
+            continue
+        if _line_free(points[i], points[j], free, step):
             del points[i + 1 : j]
+            blocked.clear()
+        else:
+            blocked.add((i, j))
     return np.array(points)
