@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["API", "Client", "Issue", "TandemError", "__version__"]
 
-API: Final = 15
+API: Final = 16
 """Number of the service's interface that this client was made for."""
 LINKS_API: Final = 2
 """The interface from which on there are links."""
@@ -63,6 +63,8 @@ FINDING_API: Final = 11
 """The interface from which on jobs have titles, tags and notes, and are searched."""
 DRAFTS_API: Final = 13
 """The interface from which on there are drafts, sweeps, and links to look."""
+TITLED_API: Final = 15
+"""The interface from which on what is saved of a draft may have a new title with it."""
 BATCHES_API: Final = 14
 """The interface from which on there are batches, releases of panels, titles of elements, pages of drafts, and
 drafts say whether they were sent."""
@@ -179,8 +181,8 @@ class Client:
         return said
 
     def who(self) -> dict[str, Any]:
-        """Who asks: ``name``, ``role`` (view, plan or release) and ``team`` of the token, and when it
-        ``expires``."""
+        """Who asks: ``name``, ``role`` (view, plan or release) and ``team`` of the token, when it
+        ``expires``, and its ``scope``, with a ``tag`` perhaps, where it is narrower than its role."""
         self._want(TEAMS_API, "roles of tokens")
         return self._json("/v1/session")
 
@@ -276,12 +278,15 @@ class Client:
         problem: Any,
         files: Mapping[str, Content] | None = None,
         without: Sequence[str] = (),
+        title: str | None = None,
     ) -> dict[str, Any]:
         """The next version of a draft, for who has ``version``: the problem, ``files`` that are new, and
-        those of before but ``without`` some. Raises ``TandemError``: ``service.draft`` where somebody else
-        has saved it since."""
+        those of before but ``without`` some; ``title``: what it is called from now on. Raises
+        ``TandemError``: ``service.draft`` where somebody else has saved it since."""
         self._want(DRAFTS_API, "drafts")
-        asked = self._query({"without": list(without)})
+        if title is not None:
+            self._want(TITLED_API, "titles of drafts that are saved")
+        asked = self._query({"without": list(without), **({} if title is None else {"title": title})})
         body, kind = self._body(problem, files)
         headers = {"Content-Type": kind, "If-Match": f'"{version}"'}
         return self._read_json(self._request(_of(draft, f"?{asked}", "drafts"), body, headers, "PUT"))

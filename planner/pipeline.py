@@ -275,12 +275,13 @@ FIRST_TARGETS = 40
 class Looked:
     """What a check found, and at how many ``targets`` of all of them it looked; none of none where they
     cannot be made. ``placed``: whether a first look has a place for the block, which a whole one searches
-    longer."""
+    longer; ``thinned``: whether it was made of fewer targets than the plan will have."""
 
     issues: tuple[Issue, ...]
     targets: int
     of: int
     placed: bool = True
+    thinned: bool = False
 
 
 @_contained()
@@ -296,8 +297,8 @@ def looked_over(
 ) -> Looked:
     """As :func:`check`, at about ``most`` targets alone, evenly spread over all operations: whether
     each has a posture with all margins that is free, and whether one of the first places will do for a
-    block whose place is searched. None of it says that there is a path; with ``most`` None it is the whole
-    check."""
+    block whose place is searched. None of it says that there is a path, or that the process does what it
+    should; with ``most`` None it is the whole check."""
     return _checked(problem, most is None, most, make)
 
 
@@ -314,14 +315,16 @@ def _checked(problem: Problem | spec.Problem, advise: bool, most: int | None, ma
     notes = _notes(problem)
     looked, of = 0, 0
     try:
-        targets = targets_of(problem, processes.jobs(problem), make)
+        targets = targets_of(problem, processes.jobs(problem, brief=most is not None), make)
         of = sum(item.count for item in targets)
         first = None if most is None else FirstLook(tuple(item.count for item in targets), most)
         found = [*notes, *_stands(problem), *(issue for item in targets for issue in item.issues)]
         found += [*write.refusals(problem, targets), *solve.check(problem, targets, advise, first)]
         looked = of if first is None else sum(first.looked.values())
         placed = first is None or first.placed
-        return Looked(aggregate([*found, *_unused(problem, found)]), looked, of, placed)
+        if first is None:  # what a first look does not judge may be there all the same
+            found += _unused(problem, found)
+        return Looked(aggregate(found), looked, of, placed, any(item.thinned for item in targets))
     except TandemError as error:
         return Looked((*notes, *error.issues), looked, of)
 

@@ -95,10 +95,10 @@ PLATE: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
 
 
-FOLLOWING_WRITTEN: Final = ("ABB",)
-"""Families of arms in whose language tracks are written that go along while the arm works,"""
+OUTER_DECIMALS: Final = 4
+"""Decimals [mm, deg] with which programs write values of external axes."""
 AXES_WRITTEN: Final = ("ABB", "KUKA")
-"""and tracks, turntables and positioners that stand then."""
+"""Families of arms in whose language tracks, turntables and positioners are written."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -809,7 +809,8 @@ def _keep_off(arm: Arm, rides: bool = False) -> str:
     """What the operator does before a track goes to a station, and perhaps ``rides`` along from there."""
     unit = arm.track.unit if arm.track is not None else ""
     said = KEEP_OFF_RIDING if rides else KEEP_OFF
-    return said.filled(arm=arm.name, unit=unit, value=f"{1e3 * (arm.station or 0.0):.3f}")
+    value = round(1e3 * (arm.station or 0.0), OUTER_DECIMALS)  # as written: noise settles no half
+    return said.filled(arm=arm.name, unit=unit, value=f"{value:.3f}")
 
 
 def _keep_off_table(table: Turntable, values: Mapping[str, float]) -> str:

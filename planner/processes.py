@@ -35,11 +35,13 @@ class Process(NamedTuple):
     module: str
     name: str
 
-    def job(self, operation: Any, setup: Setup, part: Part | None, advise: bool = True) -> Job[Any]:
+    def job(
+        self, operation: Any, setup: Setup, part: Part | None, advise: bool = True, brief: bool = False
+    ) -> Job[Any]:
         """The job of an operation of this process."""
         made: Job[Any] = getattr(import_module(self.module), self.name)(operation, setup, part)
-        if not advise:  # jobs of installed packages are made of the three alone
-            object.__setattr__(made, "advise", False)
+        for name, value in {"advise": advise, "brief": brief}.items():
+            object.__setattr__(made, name, value)  # jobs of installed packages are made of the three alone
         return made
 
 
@@ -102,19 +104,20 @@ def readers() -> dict[str, type[BaseModel] | Issue]:
     return {name: one.schema if isinstance(one, Process) else one for name, one in all_processes().items()}
 
 
-def job(problem: Problem, index: int, advise: bool = True) -> Job[Any]:
-    """The job of one operation, by its index; it looks for what would help where it ends, with ``advise``.
-    Raises ``TandemError`` where its process cannot be used."""
+def job(problem: Problem, index: int, advise: bool = True, brief: bool = False) -> Job[Any]:
+    """The job of one operation, by its index; it looks for what would help where it ends, with ``advise``,
+    and makes targets for a first look alone if it is ``brief``. Raises ``TandemError`` where its process
+    cannot be used."""
     operation = problem.operations[index]
     process = all_processes()[operation.process]
     if isinstance(process, Issue):
         raise TandemError(process)
-    return process.job(operation, problem.found_by(index), problem.part, advise)
+    return process.job(operation, problem.found_by(index), problem.part, advise, brief)
 
 
-def jobs(problem: Problem, advise: bool = True) -> tuple[Job[Any], ...]:
-    """The jobs of all operations, in order; ``advise`` as in :func:`job`."""
-    return tuple(job(problem, index, advise) for index in range(len(problem.operations)))
+def jobs(problem: Problem, advise: bool = True, brief: bool = False) -> tuple[Job[Any], ...]:
+    """The jobs of all operations, in order; ``advise`` and ``brief`` as in :func:`job`."""
+    return tuple(job(problem, index, advise, brief) for index in range(len(problem.operations)))
 
 
 def claims(problem: Problem, made: Sequence[Job[Any]] | None = None) -> dict[str, tuple[Claim, ...]]:

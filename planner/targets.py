@@ -217,7 +217,8 @@ class Targets:
     each. ``ahead`` [m]: by how much the distance of two TCPs may be another than at either end of a move
     with one of them at its end already and the other still at its start, where they do not go by one clock.
     ``segment`` (N,): the segment that the move to target i belongs to.
-    ``exhibits`` is named data for the report, by kind of picture.
+    ``exhibits`` is named data for the report, by kind of picture. ``thinned``: fewer than a plan would have,
+    for a first look.
 
     What motion may do to the way, each the careful answer where a process says nothing: ``rounding``, how far
     corners may be rounded off; ``may_stop``, whether a single arm may stop at further targets, where it is
@@ -244,6 +245,7 @@ class Targets:
     actions: tuple[Action, ...] = ()
     claims: tuple[Claim, ...] = ()
     exhibits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    thinned: bool = False
     issues: tuple[Issue, ...] = ()
     apart: float = 0.0
     ahead: float = np.inf
@@ -353,6 +355,10 @@ class Job(abc.ABC, Generic[_Operation]):
     part: Part | None
     advise: bool = dataclasses.field(default=True, init=False)
     """Whether what would help is looked for where the process cannot make the part."""
+    brief: bool = dataclasses.field(default=False, init=False)
+    """Whether targets are for a first look at reach and clearance of some: without claims and exhibits, and
+    without what judges the part and its ways but shapes none, which a whole check tells; of many like ways
+    some may be left out."""
 
     @abc.abstractmethod
     def targets(self) -> Targets:

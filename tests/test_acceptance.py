@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from planner import pipeline, plans
+from planner import pipeline, plans, processes
 from planner.catalogue.issue_codes import CODES
 from planner.catalogue.robots import data_dir
 from planner.cli import command_line
@@ -30,8 +30,14 @@ def problem(folder: Path, **more: Any) -> Path:
 
 
 def looked(path: Path) -> tuple[Issue, ...]:
-    """What a first look finds: all that is found before motion, and reach at four targets."""
-    return pipeline.looked_over(pipeline.load(path), 4).issues
+    """What is found before motion."""
+    problem = pipeline.load(path)
+    try:
+        targets = pipeline.targets_of(problem, processes.jobs(problem))
+    except TandemError as error:
+        return error.issues
+    found = [issue for item in targets for issue in item.issues]
+    return (*found, *pipeline._unused(problem, found))
 
 
 def test_only_codes_of_the_table_can_be_accepted() -> None:

@@ -152,8 +152,9 @@ def test_a_place_that_is_searched_and_a_track_are_refused_together(tmp_path: Pat
     assert issue.field == "stock.place"
 
 
-def test_one_cut_of_six_metres_is_in_reach_as_the_track_goes_along() -> None:
-    problem = planner.load(PROBLEMS / "long_wall" / "one_cut.yaml")
+@pytest.mark.parametrize("file", ["one_cut.yaml", "one_cut_kuka.yaml"])
+def test_one_cut_of_six_metres_is_in_reach_as_the_track_goes_along(file: str) -> None:
+    problem = planner.load(PROBLEMS / "long_wall" / file)
     (arm,) = problem.cell.arms
     assert arm.follows and len(problem.operations) == 1
     found = looked_over(problem, 6)
@@ -161,8 +162,12 @@ def test_one_cut_of_six_metres_is_in_reach_as_the_track_goes_along() -> None:
 
 
 @pytest.mark.long
-def test_one_cut_of_six_metres_is_milled_and_proven(tmp_path: Path) -> None:
-    outcome = plan(planner.load(PROBLEMS / "long_wall" / "one_cut.yaml"))
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [("one_cut.yaml", "base frame moved by"), ("one_cut_kuka.yaml", "#ERSYS")],
+)
+def test_one_cut_of_six_metres_is_milled_and_proven(tmp_path: Path, file: str, words: str) -> None:
+    outcome = plan(planner.load(PROBLEMS / "long_wall" / file))
     assert outcome.verified
     (made,) = outcome.plan.operations
     place = outcome.plan.places[0] @ made.targets.pose["robot"]
@@ -171,7 +176,7 @@ def test_one_cut_of_six_metres_is_milled_and_proven(tmp_path: Path) -> None:
     assert not made.targets.stop[cut][:-1].any()
     outcome.save(tmp_path)
     page = (tmp_path / "report.html").read_text()
-    assert "while the arm works goes along" in page and "base frame moved by" in page
+    assert "while the arm works goes along" in page and words in page
     again = write_pages(tmp_path)  # of the files alone
     assert again.ok
 

@@ -113,8 +113,12 @@ class Add(_Store):
 
     name: tyro.conf.Positional[str]
     """whose it is"""
-    role: Literal["view", "plan", "release"] = "plan"
-    """what it may do: look, also make and change jobs, also release programs"""
+    role: Literal["view", "plan", "release"] | None = None
+    """what it may do: look, also make and change jobs, also release programs; unless stated plan"""
+    scope: Literal["submit", "released"] | None = None
+    """for a script: send jobs and read those that it sent; for a screen at the cell: read what is released"""
+    tag: str | None = None
+    """the scope released has the jobs with this tag alone, such as the cell's name"""
     team: str | None = None
     """tokens of one team see one another's jobs; without a team a token sees its own alone"""
     expires: str | None = None
@@ -260,17 +264,19 @@ def token(asked: Add | List | Revoke | Drafts) -> None:
     auth = Auth(database)
     if isinstance(asked, Add):
         lasts_s = None if asked.expires is None else _lasts(asked.expires)
-        sys.stdout.write(f"{auth.make(asked.name, asked.role, asked.team, lasts_s)}\n")
+        made = auth.make(asked.name, asked.role, asked.team, lasts_s, asked.scope, asked.tag)
+        sys.stdout.write(f"{made}\n")
     elif isinstance(asked, Revoke):
         auth.revoke(asked.name)
         out.print(f"{asked.name}: revoked", highlight=False)
     elif isinstance(asked, Drafts):
         _drafts(asked, database)
     else:
-        table = Table("name", "role", "team", "made", "ends", "revoked")
+        table = Table("name", "role", "scope", "team", "made", "ends", "revoked")
         for known in auth.list():
             times = (_moment(one) for one in (known.created, known.expires, known.revoked))
-            table.add_row(known.name, known.role, known.team or "", *times)
+            scope = " ".join(filter(None, (known.scope, known.tag)))
+            table.add_row(known.name, known.role, scope, known.team or "", *times)
         out.print(table)
 
 

@@ -42,6 +42,7 @@ from planner.forming.process_plan import (
     TOO_NARROW,
     Route,
     Work,
+    fewer,
     lay_all,
     lay_out,
     segment,
@@ -254,6 +255,8 @@ class FormingJob(Job[Forming]):
         steps = list(step_issues(made))
         if steps:
             raise TandemError(steps)
+        if self.brief and (few := self._few(made)) is not None:
+            return few
         corners, dies = unreached_issues(made), list(of_die(made))
         early = (one for one in (*dies, *corners) if has_errors([one]))
         refused = [*two_point.holder_issues(made), *shift_issues(made), *early]
@@ -276,8 +279,8 @@ class FormingJob(Job[Forming]):
             if estimate is not None:
                 issues += forecast.estimate_issues(made, paths, estimate)
                 more = {"released": released.estimated(made, paths, estimate)} if estimate.rows else {}
-            found = _targets(made, setup, paths, paths, issues, self.claims())
-            return dataclasses.replace(found, exhibits={**found.exhibits, **more})
+            found = _targets(made, setup, paths, issues, self.claims())
+            return dataclasses.replace(found, exhibits={**exhibits(made, paths), **more})
         deeper = compensation.shifted(paths, given.ways)
         issues += [
             *compensation.steeper(made, paths, given.ways, given.slope, level),
@@ -286,11 +289,23 @@ class FormingJob(Job[Forming]):
         issues += clamped_issues(made, deeper)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        found = _targets(made, setup, paths, deeper, issues, self.claims())
+        found = _targets(made, setup, deeper, issues, self.claims())
         more = {"compensation": compensation.exhibit(given.ways)}
         if level is None and given.scan is None:
             more["released"] = released.compensated(made, paths, given)
-        return dataclasses.replace(found, exhibits={**found.exhibits, **more})
+        return dataclasses.replace(found, exhibits={**exhibits(made, paths), **more})
+
+    def _few(self, made: Work) -> Targets | None:
+        """Targets of a first look: of many loops and places some alone; None for ways that are made whole."""
+        if self.operation.level is not None or self.operation.springback is not None:
+            return None
+        few = fewer(made)
+        try:
+            paths = lay_all(few)
+        except TandemError:  # a coarse way may be refused where the true one is not
+            return None
+        found = _targets(few, self.setup, paths, [], ())
+        return dataclasses.replace(found, actions=(), thinned=few is not made)
 
     def compensated(self) -> compensation_file.Compensation | None:
         """The springback file that the operation names, if it does. Raises ``TandemError``
@@ -349,12 +364,12 @@ def _poses(made: Work, route: Route) -> dict[str, FloatArray]:
 def _targets(
     made: Work,
     setup: Setup,
-    paths: Sequence[tuple[Pass, ToolPath]],
     gone: Sequence[tuple[Pass, ToolPath]],
     issues: list[Issue],
     claims: tuple[Claim, ...],
 ) -> Targets:
-    """Targets of the paths as they are ``gone``: ``paths``, or deeper by what the sheet comes back by."""
+    """Targets of the paths as they are ``gone``: as they were laid, or deeper by what the sheet comes back
+    by; without exhibits."""
     op, route = made.operation, _route(made, setup, gone)
     count = len(route.segment)
     forming = np.array([segment.works for segment in route.segment])
@@ -379,7 +394,6 @@ def _targets(
         ahead=_ahead(made),
         actions=actions,
         claims=claims,
-        exhibits=exhibits(made, paths),
         issues=aggregate(issues),
         rounding=rounding(claims),
         may_stop=True,

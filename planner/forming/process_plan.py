@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -221,6 +221,27 @@ FLOOR_GAP: Final = 0.06 * MM
 """How far [m] the ball may stay off the floor for that."""
 TOP_WIDTH: Final = 5.0 * MM
 """Loops about the top of a male die that are no wider than this [m] may be left out."""
+
+
+FEW_LOOPS: Final = 6
+"""Loops of a pass that a first look is made of at most;"""
+FEWER_PLACES: Final = 4.0
+"""it has so many times fewer places on each."""
+
+
+def fewer(work: Work) -> Work:
+    """The same work with fewer loops and places, all of which the true way has alike; itself where that is of
+    no use: few loops, or a way whose turns hang on one another."""
+    op = work.operation
+    if op.mode == "adsif":
+        return work
+    # the sagitta of a chord goes with the square of its length
+    more: dict[str, Any] = {"chord_mm": op.chord_mm * FEWER_PLACES**2}
+    more |= {"tangent_deg": op.tangent_deg * FEWER_PLACES, "longest_mm": op.longest_mm * FEWER_PLACES}
+    if op.stepdown_mm is not None:
+        deep = max(abs(one.end - one.start) for one in work.passes) / MM
+        more["stepdown_mm"] = max(op.stepdown_mm, deep / FEW_LOOPS)
+    return dataclasses.replace(work, operation=op.model_copy(update=more))
 
 
 def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:

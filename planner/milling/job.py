@@ -13,6 +13,7 @@ tool.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
@@ -344,10 +345,12 @@ class MillingJob(Job[Milling]):
         """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
         made = self.planned
         route = lay_out(self.operation, made.runs, made.box)
-        issues = check(made)
+        issues = [] if self.brief else check(made)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        return _targets(made, route, aggregate(issues), self.claims())
+        claims = () if self.brief else self.claims()
+        found = _targets(made, route, aggregate(issues), claims)
+        return found if self.brief else dataclasses.replace(found, exhibits=exhibits(made, route))
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
@@ -372,7 +375,6 @@ def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[
         segment=route.segment,
         actions=actions,
         claims=claims,
-        exhibits=exhibits(made, route),
         issues=issues,
         rounding=rounding(claims),
         may_stop=True,

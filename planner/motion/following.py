@@ -19,7 +19,7 @@ from planner.motion.place_margin import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.path_search import with_aims
 from planner.motion.search.subsampling import few_of
-from planner.problem import Cell, LinearTrack
+from planner.problem import OUTER_DECIMALS, Cell, LinearTrack
 from planner.targets import Targets
 
 SMOOTHED_M: Final = 0.1
@@ -32,8 +32,6 @@ SLID_SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the range of a freedom at which it is asked how far it slides a tool."""
 MOST_SLIDE_M: Final = 5e-3
 """A tool may slide so far [m] along a track that goes along by its nominal poses."""
-DECIMALS: Final = 4
-"""Decimals [mm] with which programs write values."""
 STEP_M: Final = 0.1
 """Offsets are so far apart [m],"""
 MOST_OFFSETS: Final = 201
@@ -109,7 +107,7 @@ def law(track: LinearTrack, share: float, place: FloatArray, gone: FloatArray, o
     weights = np.convolve(box, box)
     padded = np.pad(even, width - 1, mode="edge")
     smooth = np.interp(gone, grid, np.convolve(padded, weights, mode="valid"))
-    written = np.round(smooth / MM, DECIMALS) * MM
+    written = np.round(smooth / MM, OUTER_DECIMALS) * MM
     return np.asarray(np.clip(written, track.low, track.high))
 
 

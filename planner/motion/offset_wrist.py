@@ -227,7 +227,7 @@ def _brackets(condition: _Condition, shoulder: float, passes: _Passes) -> _Brack
         value[own.room(dense, side) < 0.0] = np.nan
         one, at = np.nonzero((value[:, 2:-1] > 0.0) != (value[:, 1:-2] > 0.0))
         add(dense_row[one], elbow, dense[one, at + 1], dense[one, at + 2])
-        one, at = np.nonzero(_turns_back(value))
+        one, at = np.nonzero(_turns_back(value, dense))
         low, high = dense[one, at], dense[one, at + 2]
         for some, first, second in _dips(condition, dense_row[one], low, high, shoulder, elbow):
             add(some, elbow, first, second)
@@ -246,7 +246,7 @@ def _brackets(condition: _Condition, shoulder: float, passes: _Passes) -> _Brack
             changes[:, _PLACES - 1 :] &= (above[:, _PLACES - 1] == above[:, -1])[:, None]
             one, at = np.nonzero(changes)
             add(row[one], elbow, places[one, at], places[one, at + 1])
-            one, at = np.nonzero(_turns_back(value))
+            one, at = np.nonzero(_turns_back(value, places))
             low, high = places[one, at], places[one, at + 2]
             for some, first, second in _dips(condition, row[one], low, high, shoulder, elbow):
                 add(some, elbow, first, second)
@@ -271,14 +271,17 @@ def _dense(
     return angle[good], row[good], at[good]
 
 
-def _turns_back(value: FloatArray) -> BoolArray:
-    """Of values (..., K) at angles in a row, at which (..., K - 2) of those between they come so near to zero
-    and turn back that they may pass it."""
+def _turns_back(value: FloatArray, angle: FloatArray | None = None) -> BoolArray:
+    """Of values (..., K) at angles (..., K) in a row, even ones if none are given, at which (..., K - 2) of
+    those between they come so near to zero and turn back that they may pass it: what leads there on one side
+    would lead through zero on the other."""
     before, here, after = value[..., :-2], value[..., 1:-1], value[..., 2:]
     size, one, two = np.abs(here), np.abs(before), np.abs(after)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gaps = None if angle is None else np.abs(np.diff(angle, axis=-1))
+        longer = 1.0 if gaps is None else gaps[..., 1:] / gaps[..., :-1]
         dip = (here * after > 0.0) & (here * before > 0.0) & (size <= one) & (size <= two)
-        return np.asarray(dip & (size < np.maximum(one - size, two - size)))
+        return np.asarray(dip & (size < np.fmax((one - size) * longer, (two - size) / longer)))
 
 
 def _ends(

@@ -29,7 +29,6 @@ from planner.motion.search.subsampling import few_of
 from planner.problem import (
     AXES_WRITTEN,
     END,
-    FOLLOWING_WRITTEN,
     STOCK,
     TILT,
     LinearTrack,
@@ -488,7 +487,7 @@ def _nowhere(
     else:
         hint = f"split the operation, as an arm stands while it works ({best}), or make the track longer"
         arms = problem.cell.arms
-        able = len(arms) == 1 and arms[0].data.family in FOLLOWING_WRITTEN and arms[0].sag is None
+        able = len(arms) == 1 and arms[0].data.family in AXES_WRITTEN and arms[0].sag is None
         if able and all(map(any_base, problem.operations)):
             hint += ", or let it go along while the arm works (track: follow: 1)"
     arm = None if table else axis.name

@@ -39,8 +39,6 @@ TIME_DECIMALS = 5
 
 Outer = tuple[tuple[int, float], ...]
 """External axes of a target: their columns [from 0], each with its value [mm or deg], rounded as written."""
-OUTER_DECIMALS = 4
-"""Decimals of their values."""
 TRACK_COLUMN = 0
 """Column of a track among external axes: the first one, eax_a or E1."""
 

@@ -24,7 +24,6 @@ from planner.plans import OperationPlan, Plan
 from planner.post import handshake as handshake_drift
 from planner.post.handshake import handshake_refusals, meeting_rows, stretched
 from planner.post.program import (
-    OUTER_DECIMALS,
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
     TIME_DECIMALS,
@@ -45,7 +44,7 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import Arm, Cell, Problem, Settings, Setup, Turntable
+from planner.problem import OUTER_DECIMALS, Arm, Cell, Problem, Settings, Setup, Turntable
 from planner.targets import Action, Targets
 
 LEAST_MASS = 0.001

@@ -1,7 +1,8 @@
 """Axes beyond an arm in a cell file: a linear track under its base, a turntable or a tilt-turn positioner
 under the block, with what cannot be one told.
 
-Gantries, and turntables that turn while an arm works, are not written yet.
+Axes that carry one another under an arm (gantries), and turntables that turn while an arm works, are not
+written yet.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from planner.issues import Issue, TandemError
 from planner.problem import (
     AXES_WRITTEN,
     BLIND_SPEED,
-    FOLLOWING_WRITTEN,
     PLATE,
     STOCK,
     Arm,
@@ -36,6 +36,8 @@ from planner.reading.strict_yaml import Name, Positive, Strict, Vector
 
 LEAST_AXIS: Final = 1e-9
 """Directions shorter than this have none."""
+LEAST_TRACK_MM: Final = 50.0
+"""Shorter ranges [mm] of tracks are taken for metres."""
 UPRIGHT: Final = 1e-9
 """Axes whose unit vectors are off the vertical by no more stand upright."""
 LEAST_SHARE: Final = 0.01
@@ -75,6 +77,21 @@ class TrackFile(Strict):
     ] = None
 
 
+NO_GANTRY: Final = (
+    "an arm on two or three linear axes, as of a gantry, is not written yet",
+    "state the axis along the work as its track, with base where the others stand, and make a problem of "
+    "each place of these",
+)
+"""What is said of linear axes that carry one another, and what to do."""
+_CHAINS: Final = ("gantry", "tracks", "rails", "axes", "linear_axes")
+"""Keys of an arm under which they are looked for."""
+
+
+def chained(key: str, value: object) -> bool:
+    """Whether a key of an arm that is not known, or a value that is none, states several linear axes."""
+    return key in _CHAINS or (key == "track" and isinstance(value, list))
+
+
 def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
     """The track of arm ``number`` of a cell in SI units. Raises ``TandemError`` (``problem.field``,
     ``problem.track``) with all that is wrong."""
@@ -91,6 +108,9 @@ def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
         told("axis", "its length is 0; give the direction in which values grow, such as [0, 1, 0]")
     if not low < high:
         told("range_mm", f"it goes from {low:g} to {high:g}; give the least value first, then a larger one")
+    elif high - low < LEAST_TRACK_MM:
+        what = f"it goes from {low:g} to {high:g} mm, and no track is shorter than {LEAST_TRACK_MM:g} mm; "
+        told("range_mm", f"{what}values are mm: 3 m are 3000")
     elif not low <= spec.home_mm <= high:
         told("home_mm", f"{spec.home_mm:g} is outside the range of {low:g} to {high:g}")
     for name, value in (("speed_mm_s", spec.speed_mm_s), ("acceleration_mm_s2", spec.acceleration_mm_s2)):
@@ -100,14 +120,6 @@ def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
         what = f"arm {arm.name} is of {arm.data.family}; tracks are written for {' and '.join(AXES_WRITTEN)} "
         what += "controllers alone; take the track out and move the base, or take such an arm"
         wrong.append(Issue("problem.track", what, field=field, arm=arm.name))
-    elif spec.follow is not None and arm.data.family not in FOLLOWING_WRITTEN:
-        what = (
-            f"arm {arm.name} is of {arm.data.family}; tracks that go along while the arm works are written "
-        )
-        what += (
-            f"for {' and '.join(FOLLOWING_WRITTEN)} controllers alone; take follow out, so that it stands "
-        )
-        wrong.append(Issue("problem.track", f"{what}then", field=f"{field}.follow", arm=arm.name))
     if spec.follow is not None and arm.sag is not None:
         what = f"arm {arm.name} goes along with its track and has its sag compensated; both together are not "
         what += "written yet; take follow or compensate_sag out"

@@ -114,7 +114,7 @@ _KINDS: Final = {
 def _class_fault(chain: UrdfChain) -> Issue | None:
     """Why a chain is not of the closed form, by its class; None where it is."""
     w, p = chain.axis, chain.zero[1 : len(chain.axis) + 1, :3, 3]
-    found = _class_of(w, p)
+    found = _class_of(w, p, chain)
     if found is None:
         return None
     what, hint = found
@@ -133,27 +133,37 @@ def _class_fault(chain: UrdfChain) -> Issue | None:
 _OTHER: Final = (
     "take an arm with a spherical or an offset wrist or one as UR's; this class is not planned for yet"
 )
+_FIVE_BEHIND: Final = "name the flange behind the sixth axis as tip; joints that turn hang on this one"
+_FIVE: Final = (
+    "it turns its tool to no direction that lies off a plane through axis 1; take the version of it with six "
+    "axes, which most makers of such arms have"
+)
+_POSITIONER: Final = (
+    "state it beside the arm, under the block (turntable: or positioner: of the cell), with its centre, axes "
+    "and ranges; as a robot name the base and the flange of an arm"
+)
 _SEVEN: Final = (
     "make the third joint fixed in a copy of the URDF: the arm is planned with the six that are left where "
     "they are of a class that is known"
 )
 
 
-def _class_of(w: FloatArray, p: FloatArray) -> tuple[str, str] | None:
+def _class_of(w: FloatArray, p: FloatArray, chain: UrdfChain) -> tuple[str, str] | None:
     count = len(w)
     if count == 7:
         what = _not_as_panda(w, p)
         return None if what is None else (f"an arm with seven axes {what}", _SEVEN)
     if count == 5:
-        return "an arm with five axes", "name the flange behind the sixth axis as tip; " + _OTHER
+        return "an arm with five axes", _FIVE_BEHIND if chain.behind else _FIVE
     if count > 7:
         return (
             f"an arm with {count} axes",
             "name the first link of the arm itself as base, behind what carries it",
         )
     if count < 5:
-        kind = "a positioner" if count in (1, 2) else "a chain"
-        return f"{kind} with {count} axes", "name the base and the flange of an arm"
+        if count in (1, 2) and not chain.behind:
+            return f"a positioner with {count} ax{'is' if count == 1 else 'es'}", _POSITIONER
+        return f"a chain with {count} axes", "name the base and the flange of an arm"
     if not _parallel(w[1], w[2]):
         return "an arm with six axes of which 2 and 3 are not parallel", _OTHER
     if _parallel(w[2], w[3]):

@@ -403,6 +403,8 @@ def _field_issue(
         least, has = error["ctx"]["min_length"], error["ctx"]["actual_length"]
         what = f"has {has} {'entry' if has == 1 else 'entries'}, at least {least} must be there"
         remedy = "add what is missing, or take the key out where it may be left out"
+    if location[-3:-2] == ("arms",) and axes.chained(str(location[-1]), got):
+        what, remedy = axes.NO_GANTRY
     if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list of a fixed length
         what, remedy = f"entry {error['loc'][-1]}, counted from 0, is missing", "give as many as it takes"
     if error["type"] in ("tuple_type", "list_type"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -197,14 +197,26 @@ def _read(spec: RhinoFile, folder: Path, field: str, kinds: Sequence[Kind]) -> _
     if not mine:
         what = f"has no {' and no '.join(kinds)}{spec.asked()}"
         what += f", but {', '.join(left)}; " if left else "; "
-        raise refused("part.rhino", path, field, what + _HINT)
+        raise refused("part.rhino", path, field, what + _hint(others, hidden))
     if left:
-        what = f"{path.name}: left out {', '.join(left)}{spec.asked()}; {_HINT}"
+        what = f"{path.name}: left out {', '.join(left)}{spec.asked()}; {_hint(others, hidden)}"
         notes.append(Issue("part.rhino_left_out", what, Severity.NOTE, file=str(path), field=field))
     return _Found(path, tuple(mine), metres, tuple(notes))
 
 
-_HINT: Final = "explode blocks, show what is hidden, turn SubD into NURBS (_ToNURBS)"
+_TURNED: Final = {
+    "InstanceReference": "explode blocks (_ExplodeBlock)",
+    "SubD": "turn SubD into NURBS (_ToNURBS) or into a mesh (_Mesh)",
+}
+"""What to do in Rhino with objects of these kinds."""
+
+
+def _hint(others: Mapping[str, int], hidden: int) -> str:
+    """What to do with objects that are left out, of these kinds and hidden; of all where it is none of
+    them."""
+    known = [what for kind, what in _TURNED.items() if kind in others]
+    known += ["show what is hidden (_Show, layers)"] if hidden else []
+    return ", ".join(known or [*_TURNED.values(), "show what is hidden (_Show, layers)"])
 
 
 def _unit(model: Any, spec: RhinoFile, path: Path, field: str) -> tuple[float, list[Issue]]:

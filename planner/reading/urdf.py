@@ -58,7 +58,7 @@ class UrdfChain:
     ``kinds``: the joints' types. ``shapes``: what is fixed to the base and to the links, for collision.
     ``visuals``: the same to be seen; ``unseen``: links with one that is not well stated, and why.
     ``beside``: joints that move something else on the base or on these links, which is not followed.
-    ``notes``: what the file states that is not used.
+    ``notes``: what the file states that is not used. ``behind``: joints that turn or slide hang on the tip.
     """
 
     joints: tuple[str, ...]
@@ -77,6 +77,7 @@ class UrdfChain:
     notes: tuple[str, ...]
     visuals: tuple[UrdfShape, ...] = ()
     unseen: tuple[tuple[str, str], ...] = ()
+    behind: bool = False
 
     def tip(self, q: FloatArray, written: bool = False) -> FloatArray:
         """Poses (..., 4, 4) of the tip in the base at joint angles ``q`` (..., N) [rad], by a product of
@@ -100,7 +101,7 @@ def read_chain(text: str, base: str, tip: str | None) -> UrdfChain:
     root = _root(text)
     links = _links(root)
     above = _joints(root, links)
-    tip = _tip(links, tip)
+    tip = _tip(links, above, base, tip)
     for word, name in (("base", base), ("tip", tip)):
         if name not in links:
             what = f"{word}: the URDF has no link {name!r}, it has {_listed(sorted(links))}"
@@ -208,7 +209,7 @@ def _link(joint: ET.Element, role: str) -> str:
     return name
 
 
-def _tip(links: dict[str, ET.Element], tip: str | None) -> str:
+def _tip(links: dict[str, ET.Element], above: dict[str, ET.Element], base: str, tip: str | None) -> str:
     if tip is not None:
         return tip
     for name in TIPS:
@@ -217,7 +218,16 @@ def _tip(links: dict[str, ET.Element], tip: str | None) -> str:
     what = (
         f"tip: none is named, and the URDF has no link {' or '.join(TIPS)}; it has {_listed(sorted(links))}"
     )
-    raise TandemError(Issue("robot.chain", what, field="tip", hint="name the flange's link as tip"))
+    carried = {_link(joint, "parent") for joint in above.values()}
+    turned = {
+        name: sum(joint.get("type") in _MOVING for joint in _way(above, base, name))
+        for name in links
+        if name not in carried and _hangs(above, name, base)
+    }
+    ends = [name for name, count in turned.items() if count == max(turned.values()) > 0]
+    hint = "name the flange's link as tip"
+    hint += f"; the longest chain from {base} ends at {_listed(sorted(ends))}" if ends else ""
+    raise TandemError(Issue("robot.chain", what, field="tip", hint=hint))
 
 
 def _way(above: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
@@ -314,6 +324,10 @@ def _chain(
         notes=tuple(notes),
         visuals=tuple(visuals),
         unseen=tuple(unseen),
+        behind=any(
+            joint.get("type") in _MOVING and _hangs(above, _link(joint, "parent"), tip)
+            for joint in above.values()
+        ),
     )
 
 

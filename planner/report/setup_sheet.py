@@ -605,6 +605,7 @@ def _kuka_track(arm: Arm, track: LinearTrack) -> list[tuple[str, str]]:
         (f"E1, axis 7: {unit}", "there, one linear axis, synchronous, in mm"),
         (f"{unit} in MACHINE_DEF, $EX_KIN", "#ERSYS with E1 as its only axis: it moves $ROBROOT_C"),
         (f"{unit}: direction", f"its values grow along ({along}) of the world, ({seen}) of $WORLD"),
+        *_goes_along(track),
         (f"{unit}: $SOFTN_END[7], $SOFTP_END[7]", limits),
         ("$ERSYSROOT", f"so that $WORLD lies in the foot of arm {arm.name} with {unit} at 0 mm"),
         ("that foot, the base frame", f"{_point(arm.base[:3, 3])} mm of the world"),

@@ -107,7 +107,8 @@ class ReachOut(Sent):
 class CellOut(Sent):
     """What a cell looks like to an operation. ``poses``: of each body at home, then in every posture, twelve
     numbers each: the upper rows of its matrix in the world, places in mm. ``joints_deg``: the joints of these
-    postures. ``placed``: whether the block's place is stated or found. ``of``: targets that there are."""
+    postures. ``placed``: whether the block's place is stated or found. ``of``: targets that there are,
+    ``thinned``: fewer than the plan will have."""
 
     name: str
     digest: str
@@ -121,6 +122,7 @@ class CellOut(Sent):
     bodies: list[CellBody]
     poses: dict[str, list[list[float]]]
     of: int | None = None
+    thinned: bool | None = None
     targets: list[CellTarget] | None = None
     joints_deg: dict[str, list[list[float]]] | None = None
     wires_mm: list[list[list[float]]] | None = Field(

@@ -62,7 +62,7 @@ def view(
     looked = None
     if most is not None:
         try:
-            looked = _looked(problem, operation, make, most)
+            looked = _looked(problem, operation, make, most, brief=plan is None)
         except TandemError as error:
             issues += error.issues
     if looked is None:
@@ -111,9 +111,10 @@ class _Looked:
     rows: Any
 
 
-def _looked(problem: Problem, operation: int, make: Make | None, most: int) -> _Looked:
-    """As a first look has them; raises ``TandemError`` where there are no targets or no place for axes."""
-    every = pipeline.targets_of(problem, processes.jobs(problem), make)
+def _looked(problem: Problem, operation: int, make: Make | None, most: int, brief: bool) -> _Looked:
+    """As a first look has them, or with all targets of a plan if not ``brief``; raises ``TandemError`` where
+    there are no targets or no place for axes."""
+    every = pipeline.targets_of(problem, processes.jobs(problem, brief=brief), make)
     problem, roomy = solve.with_room(problem, every)
     first = FirstLook(tuple(item.count for item in roomy), most)
     problem, roomy = stations.stationed(problem, roomy, first.passes)
@@ -266,6 +267,7 @@ def _targets(looked: _Looked, home: Mapping[str, FloatArray]) -> tuple[dict[str,
     }
     told: dict[str, Any] = {
         "of": targets.count,
+        "thinned": targets.thinned,
         "targets": out,
         "joints_deg": {arm: np.round(own / DEG, 3).tolist() for arm, own in q.items()},
     }

@@ -29,6 +29,7 @@ from planner.service.finding import Wanted
 from planner.service.idempotency import Once
 from planner.service.jobs import (
     LAST_RELEASE,
+    PICTURED,
     NewJob,
     OfElement,
     job_files,
@@ -378,7 +379,8 @@ def _some(names: Sequence[str]) -> str:
 def _panels(db: Connection, element: str) -> dict[str, _Panel]:
     """The last job of each panel that was planned, by its id."""
     asked = (
-        select(JOBS, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like, RELEASES.c.withdrawn, RELEASES.c.number)
+        select(JOBS, PICTURED, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like)
+        .add_columns(RELEASES.c.withdrawn, RELEASES.c.number)
         .join_from(ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.job == JOBS.c.id)
         .outerjoin(RELEASES, LAST_RELEASE)
         .where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "panel", JOBS.c.cancel <= CANCELLED)
@@ -406,6 +408,7 @@ def _panel(row: Mapping[str, Any], planned: _Panel | None, found: progress.Progr
             held = "released" if job["withdrawn"] is None else "withdrawn"
             known["release"] = "not-released" if job["number"] is None else held
         known["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
+        known["thumbnail"] = bool(job["thumbnail"])
         known["issue"] = wrong[0] if wrong and job["state"] != "verified" else None
     return PanelOut(
         id=name,

@@ -15,7 +15,7 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, RowMapping, Select, and_, or_
 
 from planner.issues import Issue
-from planner.service.models import JOBS, Sort
+from planner.service.models import JOBS, RELEASES, Sort
 from planner.service.security import RefusedError
 
 WORDS: Final = 10
@@ -24,14 +24,15 @@ WORDS: Final = 10
 
 @dataclasses.dataclass(frozen=True)
 class Wanted:
-    """Jobs of a list: in these ``states``, with all words of ``search``, all ``tags``; how they are sorted,
-    and what the page before ended with."""
+    """Jobs of a list: in these ``states``, with all words of ``search``, all ``tags``, if
+    ``released`` those whose release holds; how they are sorted, and what the page before ended with."""
 
     states: Sequence[str] = ()
     search: str = ""
     tags: Sequence[str] = ()
     sort: Sort = "newest"
     cursor: str | None = None
+    released: bool = False
 
 
 def folded(text: str) -> str:
@@ -50,6 +51,11 @@ def described(name: str, title: str, tags: Sequence[str], notes: str) -> dict[st
     }
 
 
+def is_tagged(tags: Sequence[str], tag: str) -> bool:
+    """Whether a list of jobs with that tag has one with these."""
+    return folded(tag) in map(folded, tags)
+
+
 def _framed(tag: str) -> str:
     """A tag among the words that are sought, between marks that no text has."""
     return f"\x1f{folded(tag)}\x1f"
@@ -61,13 +67,16 @@ def tags_of(row: Mapping[str, Any] | RowMapping) -> list[str]:
 
 
 def chosen(query: Select[Any], wanted: Wanted) -> Select[Any]:
-    """Those of the jobs that are wanted, sorted, from the cursor on. Raises :class:`RefusedError`, 422."""
+    """Those of the jobs that are wanted, sorted, from the cursor on; ``query`` has their last releases too.
+    Raises :class:`RefusedError`, 422."""
     if wanted.states:
         query = query.where(JOBS.c.state.in_(wanted.states))
     for word in folded(wanted.search).split()[:WORDS]:
         query = query.where(JOBS.c.sought.contains(word, autoescape=True))
     for tag in wanted.tags:
         query = query.where(JOBS.c.sought.contains(_framed(tag), autoescape=True))
+    if wanted.released:
+        query = query.where(RELEASES.c.who.is_not(None), RELEASES.c.withdrawn.is_(None))
     if wanted.cursor is not None:  # jobs may have been deleted since, that one too
         query = query.where(_behind(wanted.sort, wanted.cursor))
     if wanted.sort == "title":

@@ -503,7 +503,7 @@ LAST_RELEASE: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOB
 """The last release of a job."""
 _RELEASE: Final = ("who", "at", "note", "withdrawn", "withdrawn_who", "reason")
 """What is told of it with its job."""
-_PICTURED: Final = (
+PICTURED: Final = (
     exists().where(FILES.c.job == JOBS.c.id, FILES.c.name == THUMBNAIL).correlate(JOBS).label("thumbnail")
 )
 """Whether a job has a picture for lists."""
@@ -512,7 +512,7 @@ _PICTURED: Final = (
 def jobs_to_send() -> Select[Any]:
     """Jobs as the store has them, with what else :func:`job_out` tells."""
     more = [TOKENS.c.name.label("made_by"), *(RELEASES.c[name].label(f"release_{name}") for name in _RELEASE)]
-    with_names = select(JOBS, _PICTURED, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
+    with_names = select(JOBS, PICTURED, *more).outerjoin_from(JOBS, TOKENS, JOBS.c.owner == TOKENS.c.id)
     return with_names.outerjoin(RELEASES, LAST_RELEASE)
 
 

@@ -2,8 +2,9 @@
 
 A whole check takes those of the very same problem. A first look takes those of a problem that differs in
 nothing that a process sees as well: a job is made of its operation, of tools, controller and wires of the
-cell, of block and part, so where arms and block stand, obstacles, margins and names do not count. The files
-are pickles of this service's own, in a folder that nobody else writes into.
+cell, of block and part, so where arms and block stand, obstacles, margins and names do not count, but how a
+block leans does. Brief ones, which a first look made, are for first looks alone. The files are pickles of
+this service's own, in a folder that nobody else writes into.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from planner.pipeline import Make
 from planner.problem import Problem
@@ -30,20 +33,41 @@ UNSEEN_CELL: Final = ("name", "obstacles")
 UNSEEN_ARM: Final = ("base", "home_deg")
 """of an arm,"""
 UNSEEN_STOCK: Final = ("place",)
-"""of the stock."""
+"""of the stock, or a sheet, and of the setup of an operation."""
+DECIMALS: Final = 9
+"""To which directions are compared."""
 
 
 def seen(source: Mapping[str, Any]) -> str:
-    """The digest of what processes see of a problem's values."""
+    """The digest of what processes see of a problem's values, but how its blocks lean."""
     out = _without(source, UNSEEN)
     if isinstance(out.get("cell"), Mapping):
         out["cell"] = _without(out["cell"], UNSEEN_CELL)
-        arms = out["cell"].get("arms")
-        if isinstance(arms, list):
-            out["cell"]["arms"] = [_without(a, UNSEEN_ARM) if isinstance(a, Mapping) else a for a in arms]
-    if isinstance(out.get("stock"), Mapping):
-        out["stock"] = _without(out["stock"], UNSEEN_STOCK)
+        if isinstance(out["cell"].get("arms"), list):
+            out["cell"]["arms"] = _each_without(out["cell"]["arms"], UNSEEN_ARM)
+    for name in ("stock", "sheet"):
+        if isinstance(out.get(name), Mapping):
+            out[name] = _without(out[name], UNSEEN_STOCK)
+    if isinstance(out.get("operations"), list):
+        out["operations"] = [_placeless(one) for one in out["operations"]]
     return problem_file.digest(out)
+
+
+def seen_alike(problem: Problem) -> str:
+    """The same of a problem, with how each setup's block leans: wires sag, and what is cut loose falls."""
+    lean = [np.round(setup.stock.gravity, DECIMALS).tolist() for setup in problem.setups]
+    return problem_file.digest({"seen": seen(problem.source), "gravity": lean})
+
+
+def _placeless(operation: Any) -> Any:
+    """An operation whose setup says of the block's place nothing."""
+    if not isinstance(operation, Mapping) or not isinstance(operation.get("setup"), Mapping):
+        return operation
+    return {**operation, "setup": _without(operation["setup"], UNSEEN_STOCK)}
+
+
+def _each_without(values: list[Any], fields: tuple[str, ...]) -> list[Any]:
+    return [_without(one, fields) if isinstance(one, Mapping) else one for one in values]
 
 
 def _without(values: Mapping[str, Any], fields: tuple[str, ...]) -> dict[str, Any]:
@@ -53,21 +77,31 @@ def _without(values: Mapping[str, Any], fields: tuple[str, ...]) -> dict[str, An
 def maker(folder: Path, problem: Problem, alike: bool) -> Make:
     """What makes the targets of a problem's operations and keeps them in ``folder``, or finds them there;
     ``alike``: those of a problem that processes see alike will do."""
-    same, like = problem.digest, seen(problem.source)
+    same, like = problem.digest, seen_alike(problem)
 
     def make(index: int, job: Job[Any]) -> Targets:
-        names = [folder / f"{same}-{index}", folder / f"{like}-{index}"]
-        for path in names if alike else names[:1]:
-            with suppress(OSError, EOFError, pickle.UnpicklingError):
-                made = pickle.loads(path.read_bytes())
-                if isinstance(made, Targets):
-                    os.utime(path)
-                    return made
+        whole = [folder / f"{same}-{index}", folder / f"{like}-{index}"]
+        brief = folder / f"{like}-{index}-brief"
+        for path in whole if alike else whole[:1]:
+            if found := _kept(path):
+                return found
+        if job.brief and alike and (found := _kept(brief)):
+            return found
         made = job.targets()
-        _keep(folder, names, pickle.dumps(made, pickle.HIGHEST_PROTOCOL))
+        _keep(folder, [brief] if job.brief else whole, pickle.dumps(made, pickle.HIGHEST_PROTOCOL))
         return made
 
     return make
+
+
+def _kept(path: Path) -> Targets | None:
+    """What is kept there, which is used now; None where there is nothing."""
+    with suppress(OSError, EOFError, pickle.UnpicklingError):
+        made = pickle.loads(path.read_bytes())
+        if isinstance(made, Targets):
+            os.utime(path)
+            return made
+    return None
 
 
 def _keep(folder: Path, names: list[Path], content: bytes) -> None:

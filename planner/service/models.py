@@ -46,6 +46,8 @@ from sqlalchemy.sql.elements import ColumnElement
 from planner.issues import Issue, TandemError
 from planner.service.schema import VERSION, NewerError, NoVersionError, bring_up_to_date
 
+LONGEST_TAG: Final = 40
+"""Characters of a tag of jobs."""
 METADATA: Final = MetaData()
 """The tables of the service."""
 
@@ -60,6 +62,8 @@ TOKENS: Final = Table(
     Column("role", String(16), nullable=False),
     Column("team", String(64)),
     Column("expires", Float),
+    Column("scope", String(16)),
+    Column("tag", String(LONGEST_TAG)),
 )
 """Who may use the service, and for what. Only the SHA-256 of a token is kept."""
 
@@ -436,14 +440,15 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 15
+API: Final = 16
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
 log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks like, maps of a freedom.
 13: drafts, the order of the queue, sweeps, estimates of what is left, links to look. 14: pages of drafts, and
 which of them were sent, releases of panels, several problems at once, titles of elements.
-15: pictures for lists, titles of drafts that go with the name of the problem."""
+15: pictures for lists, titles of drafts that go with the name of the problem. 16: scopes of tokens, pictures
+of panels, first looks at coarser paths."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -471,6 +476,9 @@ TokenRole = Literal["view", "plan", "release"]
 TOKEN_ROLES: Final[tuple[TokenRole, ...]] = ("view", "plan", "release")
 """Roles of tokens, each of which includes the former: to look at everything; to make, change and delete
 jobs, and to hand links out; to release programs."""
+TokenScope = Literal["submit", "released"]
+"""Scopes of tokens, narrower than a role: to send jobs and read those, for a script; to read what is
+released, for a screen at the cell."""
 Sort = Literal["newest", "oldest", "title", "turn"]
 Mark = Literal["cut", "glued", "broken"]
 Act = Literal[
@@ -644,6 +652,7 @@ class PanelOut(Sent):
     )
     stage: str = ""
     cycle_s: float | None = Field(None, description="time from first to last target [s]")
+    thumbnail: bool = Field(False, description="whether its job has the file thumbnail.png")
     issue: Issue | None = Field(None, description="the first of what stands in its way")
     mark: Mark | None = None
 
@@ -800,6 +809,7 @@ class LookedAt(Sent):
     placed: bool = Field(
         description="whether the block's place is stated, or found: a first look tries few places"
     )
+    thinned: bool = Field(False, description="whether there are fewer targets than the plan will have")
 
 
 class CheckOut(Sent):
@@ -823,6 +833,10 @@ class SessionOut(Sent):
     team: str | None = Field(None, description="those of its tokens see one another's jobs")
     tokens: bool = Field(description="whether this service asks for tokens")
     expires: dt.datetime | None = Field(None, description="end of the token")
+    scope: TokenScope | None = Field(
+        None, description="sends jobs and reads its own; reads what is released; none: all that the role may"
+    )
+    tag: str | None = Field(None, description="the scope's jobs are those with this tag")
 
 
 class Health(Sent):

@@ -27,9 +27,9 @@ from sqlalchemy.exc import SQLAlchemyError
 
 import planner
 from planner.catalogue.issue_codes import CODES
-from planner.files import RELEASE
+from planner.files import RELEASE, THUMBNAIL
 from planner.issues import Issue, has_errors
-from planner.service import audit, idempotency, metrics, releases
+from planner.service import audit, finding, idempotency, metrics, releases
 from planner.service.answers import HEAD, MadeFile, is_known, packed, stored_file, tagged
 from planner.service.cell_models import CellOut
 from planner.service.finding import Wanted
@@ -38,6 +38,7 @@ from planner.service.links import LINK_S, LONGEST_LINK_S, TO_LOOK_AT, bad_link, 
 from planner.service.logs import about
 from planner.service.models import (
     API,
+    LONGEST_TAG,
     OLDEST_API,
     OPEN,
     Catalogue,
@@ -124,7 +125,8 @@ def asker(
     bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)] = None,
     cookie: Annotated[str | None, Security(_COOKIE)] = None,
 ) -> Who:
-    """Who asks, whatever he may; raises :class:`RefusedError`, 401, or 429 for who asks too often."""
+    """Who asks, whatever his role; raises :class:`RefusedError`, 401, 403 beyond the scope of his token, or
+    429 for who asks too often."""
     here = service(request)
     try:
         who = _who(request, bearer, cookie, here)
@@ -133,6 +135,7 @@ def asker(
         raise
     if who.token != LOCAL:
         here.rates.take(who.token, "this token sends")
+    who.ask(request.method, request.scope["route"].path)
     return who
 
 
@@ -176,10 +179,24 @@ def job_of(job: str, who: Who, here: Service) -> JobOut:
     if not JOB_ID.fullmatch(job):
         raise unknown_job(job)
     belongs_to, found = here.jobs.get(job)
-    if not here.auth.sees(who, belongs_to):
+    if not here.auth.sees(who, belongs_to) or not _is_in_scope(who, found):
         raise unknown_job(job)
     about(job)
     return found
+
+
+def _is_in_scope(who: Who, job: JobOut) -> bool:
+    """Whether a job of a team is one that the token's scope has."""
+    if who.scope != "released":
+        return True
+    return job.released and (who.tag is None or finding.is_tagged(job.tags, who.tag))
+
+
+def _is_file_in_scope(who: Who, name: str) -> bool:
+    """Whether a file of a job that is in the token's scope is, too: of what is released all but the problem
+    and what is made for other programs."""
+    released = releases.is_program(name) or name in (RELEASE, THUMBNAIL, *TO_LOOK_AT)
+    return who.scope != "released" or released
 
 
 OwnJob = Annotated[JobOut, Depends(own_job)]
@@ -204,7 +221,10 @@ def job_to_read(
     if signature is None:
         who = asker(request, bearer, cookie)
         request.state.reader = who.token
-        return job_of(job, who, here)
+        found = job_of(job, who, here)
+        if not _is_file_in_scope(who, name):
+            raise unknown_file(job, name)
+        return found
     if look is not None:
         found, _ = looked_at(request, job, look, signature, here)
         if name not in TO_LOOK_AT:
@@ -382,10 +402,18 @@ def storage(owner: Caller, here: Here) -> Storage:
     "/v1/session", responses=ASKED, response_model_exclude_none=True, summary="Who asks, and what he may do"
 )
 def session(who: Asker, here: Here) -> SessionOut:
-    """Name, role and team of the token, or of the cookie's."""
+    """Name, role, team and scope of the token, or of the cookie's."""
     expires = None if who.expires is None else dt.datetime.fromtimestamp(who.expires, dt.UTC)
     asked = here.options.tokens_required
-    return SessionOut(name=who.name, role=who.role, team=who.team, tokens=asked, expires=expires)
+    return SessionOut(
+        name=who.name,
+        role=who.role,
+        team=who.team,
+        tokens=asked,
+        expires=expires,
+        scope=who.scope,
+        tag=who.tag,
+    )
 
 
 @about_router.post("/v1/session", responses=ASKED, status_code=204, summary="Log a browser in")
@@ -417,9 +445,11 @@ def log_out(here: Here, tandem_session: Annotated[str | None, Cookie()] = None) 
 
 
 job_router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=ASKED)
-TAG: Final = 40
-"""Characters of a tag."""
-Tag = Annotated[str, Field(min_length=1, max_length=TAG), AfterValidator(functools.partial(line, most=TAG))]
+Tag = Annotated[
+    str,
+    Field(min_length=1, max_length=LONGEST_TAG),
+    AfterValidator(functools.partial(line, most=LONGEST_TAG)),
+]
 """A word that jobs are found by."""
 
 
@@ -613,7 +643,8 @@ def page(
     """Yours and those of your team, a page at a time; 304 for who asks again with
     ``If-None-Match`` and has it as it is."""
     del owner
-    wanted = Wanted(state or (), search, tag or (), sort, cursor)
+    tags = [*(tag or ()), *([] if who.tag is None else [who.tag])]
+    wanted = Wanted(state or (), search, tags, sort, cursor, released=who.scope == "released")
     found, following = here.jobs.page(here.auth.owners(who), wanted, limit)
     return tagged(request, JobList(jobs=found, next=following))
 
@@ -679,14 +710,15 @@ def delete(found: OwnJob, owner: Caller, here: Here) -> Response:
 
 
 @job_router.get("/jobs/{job}/files", responses=refusals(404), summary="Files of a job")
-def files(found: OwnJob, here: Here) -> FileList:
+def files(found: OwnJob, who: Asker, here: Here) -> FileList:
     """Its problem (``problem/...``), its results when it has ended, and ``release.json`` where its programs
     were released."""
     known = here.jobs.files(found.id)
     if found.release is not None:
         said = here.releases.told(found, known).content
         known[RELEASE] = Blob(hashlib.sha256(said).hexdigest(), len(said))
-    return FileList(files=[file_out(name, blob) for name, blob in sorted(known.items())])
+    seen = [file_out(name, blob) for name, blob in sorted(known.items()) if _is_file_in_scope(who, name)]
+    return FileList(files=seen)
 
 
 @job_router.get(
@@ -806,9 +838,14 @@ def known_file(here: Service, job: JobOut, name: str) -> Blob | None:
     """The file of a job, None for the one that says who released it; raises :class:`RefusedError`, 404."""
     blob = here.jobs.files(job.id).get(name)
     if blob is None and not (name == RELEASE and job.release is not None):
-        what = f"job {job.id} has no file {name[:200]!r}; list its files"
-        raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
+        raise unknown_file(job.id, name)
     return blob
+
+
+def unknown_file(job: str, name: str) -> RefusedError:
+    """404."""
+    what = f"job {job} has no file {name[:200]!r}; list its files"
+    return RefusedError(404, Issue("service.unknown_file", what, field="name"))
 
 
 def file_out(name: str, blob: Blob) -> FileOut:

@@ -16,7 +16,7 @@ from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text
 
-VERSION: Final = 7
+VERSION: Final = 8
 """Version of the tables that this program reads and writes."""
 UNNUMBERED: Final = 1
 """Version of a store that has jobs and does not say which it is."""
@@ -90,6 +90,10 @@ STEPS: Final[Mapping[int, tuple[str, ...]]] = {
     6: (
         "ALTER TABLE tandem_drafts ADD COLUMN job VARCHAR(32)",
         "ALTER TABLE tandem_drafts ADD COLUMN sent INTEGER",
+    ),
+    7: (
+        "ALTER TABLE tandem_tokens ADD COLUMN scope VARCHAR(16)",
+        "ALTER TABLE tandem_tokens ADD COLUMN tag VARCHAR(40)",
     ),
 }
 """What brings a store of each version to the next one."""

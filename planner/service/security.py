@@ -1,7 +1,8 @@
 """Who asks, what one user may ask, and what stands before every request.
 
 Of a token only the hash is kept; browsers that showed one get a cookie, and a link to one file may be
-signed for a time. A token has a role, perhaps a team whose jobs it sees, and perhaps an end. Before every
+signed for a time. A token has a role, perhaps a team whose jobs it sees, perhaps a scope that is narrower,
+and perhaps an end. Before every
 request stand the size of its body, where it comes from, and what browsers may do with the answer. The
 service says no by an HTTP status and issues that say why.
 """
@@ -29,7 +30,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 import planner
 from planner.issues import Issue, TandemError
-from planner.service.models import SECRETS, SESSIONS, TOKEN_ROLES, TOKENS, Database, TokenRole
+from planner.service.models import SECRETS, SESSIONS, TOKEN_ROLES, TOKENS, Database, TokenRole, TokenScope
+from planner.service.scopes import ROLE_OF, is_open, scope_fault
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,18 +144,29 @@ class TokenInfo:
     role: TokenRole
     team: str | None
     expires: float | None
+    scope: TokenScope | None
+    tag: str | None
 
 
 @dataclasses.dataclass(frozen=True)
 class Who:
     """Who asks: the identifier of a ``token``, which owns what is made with it, its name, what it may do,
-    its team, and its end [s since 1970]."""
+    its team, its end [s since 1970], and its scope, of jobs with a ``tag`` alone where it has one."""
 
     token: str
     name: str
     role: TokenRole
     team: str | None = None
     expires: float | None = None
+    scope: TokenScope | None = None
+    tag: str | None = None
+
+    def ask(self, method: str, path: str) -> None:
+        """Raises :class:`RefusedError`, 403, beyond the token's scope; ``path`` as a route names it."""
+        if self.scope is not None and not is_open(self.scope, method, path):
+            what = f"this is beyond the scope {self.scope} of the token {self.name}"
+            way = "ask who runs the service for a token without a scope: tandem token add NAME"
+            raise RefusedError(403, Issue("service.role", what, field="Authorization", hint=way))
 
     def need(self, role: TokenRole) -> None:
         """Raises :class:`RefusedError`, 403, where the token's role does not include ``role``."""
@@ -183,10 +196,20 @@ class Auth:
         self._database = database
 
     def make(
-        self, name: str, role: TokenRole = "plan", team: str | None = None, lasts_s: float | None = None
+        self,
+        name: str,
+        role: TokenRole | None = None,
+        team: str | None = None,
+        lasts_s: float | None = None,
+        scope: TokenScope | None = None,
+        tag: str | None = None,
     ) -> str:
-        """A new token, which is told this once, good for ``lasts_s`` from now on. Raises ``TandemError`` for
-        a name that is taken or odd."""
+        """A new token, which is told this once, good for ``lasts_s`` from now on. What is not said is the
+        role plan, or that of the scope. Raises ``TandemError`` for a name that is taken or odd, and a scope
+        that does not go with the rest."""
+        role = role or (ROLE_OF[scope] if scope else "plan")
+        if fault := scope_fault(role, team, scope, tag):
+            raise TandemError(fault)
         for one, field in ((name, "name"), (team, "team")):
             if one is not None and not _TOKEN_NAME.fullmatch(one):
                 raise TandemError(_bad_name(one, "use letters, digits and _ . @ -, at most 64", field))
@@ -195,6 +218,7 @@ class Auth:
         now = self._database.clock()
         row: dict[str, Any] = {"id": number, "name": name, "hash": _hash(token), "role": role, "team": team}
         row |= {"created": now, "expires": None if lasts_s is None else now + lasts_s}
+        row |= {"scope": scope, "tag": tag}
         try:
             with self._database.write() as db:
                 db.execute(insert(TOKENS).values(row))
@@ -283,12 +307,13 @@ class Auth:
         return found
 
     def owners(self, who: Who) -> Sequence[str]:
-        """Tokens whose jobs ``who`` sees: its own, and those of its team, also such as are over."""
-        return [who.token, *self.mates(who.token)]
+        """Tokens whose jobs ``who`` sees: its own, and those of its team, also such as are over. One that
+        only sends sees its own alone."""
+        return [who.token] if who.scope == "submit" else [who.token, *self.mates(who.token)]
 
     def sees(self, who: Who, owner: str | None) -> bool:
         """Whether ``who`` sees jobs of that owner."""
-        return owner is not None and (owner == who.token or owner in self.mates(who.token))
+        return owner is not None and owner in self.owners(who)
 
     def mates(self, owner: str) -> Sequence[str]:
         """The other tokens of the team of a token; none where it has no team."""
@@ -334,7 +359,7 @@ class Auth:
 
 
 def _who(row: RowMapping) -> Who:
-    return Who(row["id"], row["name"], row["role"], row["team"], row["expires"])
+    return Who(*(row[name] for name in ("id", "name", "role", "team", "expires", "scope", "tag")))
 
 
 def shared_secret(database: Database, name: str) -> str:

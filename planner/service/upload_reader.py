@@ -512,7 +512,7 @@ def examine(
         looked = pipeline.looked_over(read, targets, make)
         found += [issue for issue in looked.issues if issue not in found]
         if looked.of:
-            looked_at = {"targets": looked.targets, "of": looked.of, "placed": looked.placed}
+            looked_at = {name: getattr(looked, name) for name in ("targets", "of", "placed", "thinned")}
     seen: dict[str, Any] | None = None
     if cell is not None:
         try:

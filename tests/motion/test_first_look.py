@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -9,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from planner import pipeline, processes
 from planner.issues import has_errors
 from planner.motion.first_look import FirstLook
 from planner.problem import Problem
 from planner.reading import strict_yaml
-from planner.service.kept_targets import maker, seen
+from planner.service.kept_targets import maker, seen, seen_alike
 from planner.targets import Targets
 from tests import small_forming, small_problem
 
@@ -177,14 +179,68 @@ def test_processes_make_the_same_targets_whatever_they_do_not_see(name: str, tmp
     second = tmp_path / "second.yaml"
     second.write_text(strict_yaml.dump(data))
     one, other = pipeline.load(first), pipeline.load(second)
-    assert one.digest != other.digest and seen(one.source) == seen(other.source)
+    assert one.digest != other.digest and seen_alike(one) == seen_alike(other)
     for index, (a, b) in enumerate(zip(processes.jobs(one), processes.jobs(other), strict=True)):
         made = maker(tmp_path / "kept", one, alike=True)(index, a)
         kept = maker(tmp_path / "kept", other, alike=True)(index, no_job)
         alike(kept, made)
         alike(kept, b.targets())
+        few = processes.job(other, index, brief=True).targets()
+        assert few.thinned == (name == "dish")
+        if not few.thinned:  # what a first look does not judge shapes none
+            alike(few, made)
         with pytest.raises(AttributeError):  # a whole check makes its own
             maker(tmp_path / "kept", other, alike=False)(index, no_job)
+
+
+def test_a_block_that_leans_otherwise_is_seen(tmp_path: Path) -> None:
+    """What is cut loose falls another way: turned about the vertical it is the same, laid over it is not."""
+    data = data_of("gauge_lanes")
+    found = []
+    for turn in ([0, 0, 0], [0, 0, 30], [90, 0, 0]):
+        data["stock"]["place"]["rpy_deg"] = turn
+        (tmp_path / "p.yaml").write_text(strict_yaml.dump(data))
+        found.append(seen_alike(pipeline.load(tmp_path / "p.yaml")))
+    assert found[0] == found[1] != found[2]
+
+
+def test_fewer_loops_of_a_formed_sheet_are_as_true_as_all_and_kept_for_first_looks_alone(
+    tmp_path: Path,
+) -> None:
+    problem = pipeline.load(small_forming.write(tmp_path, small_forming.problem()))
+    few, whole = (processes.job(problem, 0, brief=brief).targets() for brief in (True, False))
+    assert few.thinned and not whole.thinned and 2 * few.count < whole.count
+    works = [np.array([one.works for one in item.segment]) for item in (few, whole)]
+    at, way = (item.pose["robot"][rows][:, :3, 3] for item, rows in zip((few, whole), works, strict=True))
+    step = 1e-3 * problem.operations[0].stepdown_mm  # type: ignore[attr-defined]
+    off = cKDTree(densified(way, 0.1 * step)).query(at)[0]
+    assert off.max() < 1.1 * step  # between two of its loops
+    assert np.ptp(at[:, 2]) == pytest.approx(np.ptp(way[:, 2]), abs=1e-6)
+    brief = processes.job(problem, 0, brief=True)
+    first = maker(tmp_path / "kept", problem, alike=True)(0, brief)
+    alike(maker(tmp_path / "kept", problem, alike=True)(0, processes.job(problem, 0, brief=True)), first)
+    made = maker(tmp_path / "kept", problem, alike=True)(0, processes.job(problem, 0))
+    assert not made.thinned  # as where a plan is drawn beside them
+    alike(
+        maker(tmp_path / "kept", problem, alike=True)(0, brief), made
+    )  # the whole ones, once they are there
+
+
+def test_a_first_look_says_whether_it_is_of_fewer_targets(tmp_path: Path) -> None:
+    formed = pipeline.load(small_forming.write(tmp_path, small_forming.problem()))
+    found = pipeline.looked_over(formed, 4)
+    assert found.thinned and found.targets == 4 and not has_errors(found.issues)
+    (tmp_path / "other").mkdir()
+    assert not pipeline.looked_over(small(tmp_path / "other"), 4).thinned
+
+
+def densified(way: Any, step: float) -> Any:
+    """Places on straight moves between places (N, 3), no farther apart than ``step`` [m]."""
+    out = [way[:1]]
+    for a, b in itertools.pairwise(way):
+        count = int(np.linalg.norm(b - a) / step) + 1
+        out.append(a + np.linspace(0.0, 1.0, count + 1)[1:, None] * (b - a))
+    return np.concatenate(out)
 
 
 no_job: Any = object()

@@ -69,6 +69,15 @@ def is_among(found, q):
     return (np.where(np.isnan(found[..., 0]), np.inf, gap(found, q[:, None])) < 1e-6).any(axis=1)
 
 
+def test_two_solutions_that_nearly_meet_are_found_between_samples_of_any_spacing():
+    """Fanuc's M-430iA/2P: where the condition turns back just beyond zero, beside the samples about a pass by
+    axis 1, and next to the end of reach. It lost these two of 5,000 postures."""
+    form = OffsetParameters(0.0, 0.0, 0.0, -0.095, 0.41, 0.35, 0.35, 0.065, np.zeros(6), np.ones(6))
+    upper = np.array([3.14, 2.01, 3.49, 3.32, 2.62, 4.71])
+    q = np.random.default_rng(1).uniform(-upper, upper, (5000, 6))[[200, 4041]]
+    assert is_among(inverse_kinematics(form, flange_poses(form, q)), q).all()
+
+
 @pytest.mark.parametrize("name", FORMS)
 def test_postures_with_the_wrist_close_by_axis_1_are_found(name):
     """Some micrometres to 10 mm beside it, where theta 1 turns at once with theta 6. What is left out has the

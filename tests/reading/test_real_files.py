@@ -129,6 +129,19 @@ def test_rhino_files_that_have_no_such_thing_say_what_they_have() -> None:
         rhino.curves(RhinoFile(file="compound_shape.3dm", layer="none"), HERE, "part.plate.rhino")
 
 
+def test_a_subd_of_rhino_is_refused_with_what_makes_a_face_of_it() -> None:
+    """Its 235 faces are no NURBS, and what a SubD is between them no reader here knows."""
+    pytest.importorskip("rhino3dm")
+    for read, said in (
+        (lambda: rhino.face(RhinoFaceFile(file="subd_8.3dm"), HERE, "part"), "no face and no mesh"),
+        (lambda: rhino.curves(RhinoFile(file="subd_8.3dm"), HERE, "part"), "no curve"),
+    ):
+        with pytest.raises(TandemError, match=rf"has {said}, but 1 SubD; turn SubD into NURBS") as told:
+            read()
+        (issue,) = told.value.issues
+        assert issue.code == "part.rhino" and "explode" not in issue.message
+
+
 def test_every_file_has_its_source() -> None:
     table = (HERE / "SOURCES.md").read_text()
     files = [path for path in HERE.iterdir() if path.suffix != ".md"]

@@ -234,6 +234,28 @@ def test_arms_of_other_classes_are_told_by_class_with_what_to_do(words):
     assert issue.hint
 
 
+def test_what_to_do_is_of_the_arm_at_hand():
+    """A tip before the last axis is another mistake than an arm with five, and a positioner stands under a
+    block."""
+    short = tuple(part[:5] for part in OFFSET)
+    (five,) = refused(urdf_text.arm(*map(np.array, short), pose(1.3, 0, 1, SIDE)))
+    (early,) = refused(urdf_text.arm(*map(np.array, OFFSET), pose(1.3, 0, 1, SIDE)), tip="l5")
+    (table,) = refused(
+        urdf_text.arm(*(np.array(part[:1]) for part in OFFSET), pose(1.3, 0, 1, SIDE)),
+    )
+    assert "take the version of it with six axes" in five.hint and "five axes" in early.message
+    assert "name the flange behind the sixth axis as tip" in early.hint
+    assert (
+        "a positioner with 1 axis;" in table.message and "turntable: or positioner: of the cell" in table.hint
+    )
+    unnamed = urdf_text.arm(*map(np.array, OFFSET), pose(1.3, 0, 0.9, SIDE), names=("base_link", "hand"))
+    lamp = '<link name="lamp"/><joint name="k" type="fixed"><parent link="l1"/><child link="lamp"/></joint>'
+    unnamed = unnamed.replace("</robot>", f"{lamp}</robot>")
+    (tip,) = refused(unnamed)
+    assert tip.code == "robot.chain" and tip.field == "tip"
+    assert tip.hint.endswith("the longest chain from base_link ends at hand")
+
+
 def test_the_base_behind_what_carries_the_arm_is_a_remedy():
     axes, points = [UP, SIDE, *OFFSET[0]], [(0, 0, -1), (0, 0, -0.5), *OFFSET[1][:5], OFFSET[1][4]]
     text = urdf_text.arm(np.array(axes), points, pose(1.3, 0, 0.9, SIDE))

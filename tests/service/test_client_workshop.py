@@ -281,7 +281,7 @@ def test_the_script_of_its_page_plans_a_wall_and_releases_a_dome(
 
 def test_drafts_are_renamed_and_noted_as_sent(client: tandem_client.Client) -> None:
     made = client.keep_draft(named("noted").encode(), "Entwurf", files=FILES)
-    client.save_draft(made["id"], 1, named("noted2").encode())
+    assert client.save_draft(made["id"], 1, named("noted2").encode(), title="Wand 7")["title"] == "Wand 7"
     assert client.rename_draft(made["id"], "Gewölbe ٣")["title"] == "Gewölbe ٣"
     versions = client.versions(made["id"])
     assert [(one["number"], one["files"]) for one in versions] == [(2, ["targets.csv"]), (1, ["targets.csv"])]

@@ -4,6 +4,7 @@ and every refusal."""
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,8 +17,10 @@ from sqlalchemy import update
 
 from planner.batch.job import ELEMENT, PLANNED, Done, Event, Finished, Job
 from planner.batch.run import solve
+from planner.files import THUMBNAIL
 from planner.issues import Issue
 from planner.service import audit
+from planner.service.jobs import put_files
 from planner.service.models import JOBS
 from planner.service.security import Auth, Limits
 from tests.element.shells import cap, shell
@@ -213,7 +216,14 @@ def test_panels_are_planned_as_jobs_each_like_one_beside_it(here: Elements, tmp_
         assert here.ended(one["id"])["state"] == "verified"
     found = here.http.get(address).json()
     assert found["counts"] == {"verified": 3, "not_planned": COUNT - 3}
-    assert {one["id"]: one["job"] for one in found["panels"] if "job" in one}.keys() == set(some)
+    planned = {one["id"]: one["job"] for one in found["panels"] if "job" in one}
+    assert planned.keys() == set(some)
+    assert not any(one["thumbnail"] for one in found["panels"])
+    drawn = here.service.files.put(io.BytesIO(b"a picture"))
+    with here.service.database.write() as db:
+        put_files(db, planned[some[1]], {THUMBNAIL: drawn})
+    found = here.http.get(address).json()
+    assert [one["id"] for one in found["panels"] if one["thumbnail"]] == [some[1]]
     rest = here.http.post(f"{address}/plan", json={}).json()["jobs"]
     assert len(rest) == COUNT - 3
     for one in rest:

@@ -216,9 +216,9 @@ def test_a_first_look_says_what_share_was_looked_at(here: InProcess) -> None:
     count = len(small_problem.ROWS)
     some = here.post(named("looked"), path="/v1/check?targets=3").json()
     assert some["ok"]
-    assert some["looked_at"] == {"targets": 3, "of": count, "placed": True}
+    assert some["looked_at"] == {"targets": 3, "of": count, "placed": True, "thinned": False}
     whole = here.post(named("looked"), path="/v1/check?reach=true").json()
-    assert whole["looked_at"] == {"targets": count, "of": count, "placed": True}
+    assert whole["looked_at"] == {"targets": count, "of": count, "placed": True, "thinned": False}
     both = here.post(named("looked"), path="/v1/check?reach=true&targets=3").json()
     assert both["looked_at"]["targets"] == count
     assert "looked_at" not in here.post(named("looked"), path="/v1/check").json()

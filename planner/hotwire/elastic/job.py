@@ -236,6 +236,8 @@ class ElasticJob(Job[ElasticWire]):
                     arm=stock.held_by,
                 )
             )
+        if self.brief and (few := self._unjudged()) is not None:
+            return few
         screen, made, tried = self._made
         return _targets(
             made.op,
@@ -246,6 +248,24 @@ class ElasticJob(Job[ElasticWire]):
             [*made.issues, *sweep_notes(screen, made, tried)],
             exhibits(made.op, made.wire, made.route, made.cuts, made.figures, tried),
         )
+
+    def _unjudged(self) -> Targets | None:
+        """The same targets of the one wire and sweep that there are, without what asks whether they do; None
+        where these are to be chosen, or do not fit the faces."""
+        setup, wires = self.setup, self.operation.wires(self.setup.cell.wires)
+        if len(wires) != 1 or self.operation.degrees is None:
+            return None
+        op = self.operation.using(wires[0], self.operation.degrees)
+        try:
+            cuts = _cuts(op, _wanted(self.operation, self.part), setup)
+        except TandemError:
+            return None
+        if any(True for cut in cuts for _ in check_shape(op, cut)):
+            return None
+        route, off, miss = refine(_route(op, cuts, setup), [cut.face for cut in cuts], *_drive(op, setup))
+        if _driven(op, route, off, miss):
+            return None
+        return _targets(op, _wire(op), setup, (), route, [], {})
 
     @functools.cached_property
     def _made(self) -> tuple[Screen, Attempt, list[Sweep]]:
@@ -286,19 +306,29 @@ def _attempt(op: ElasticWire, wanted: Mapping[str, Mesh], setup: Setup) -> Attem
     if misfits:
         raise TandemError(misfits)
     _refuse_heat(op, cuts, wanted, setup)
-    margin, radius = op.margin_mm * MM, 0.5 * wire.width
-    faces = [cut.face for cut in cuts]
-    route = lay_out(faces, stock.box, margin, radius, op.step_mm * MM, op.runs == "two")
+    route = _route(op, cuts, setup)
     issues = check(op, wire, route, cuts, measure(route, wire, stock.box), stock.box)
     if has_errors(issues):
         raise TandemError(issues)
-    route, off, miss = refine(route, faces, stock.box, _DRIVE_TOL * op.shape_tol_mm * MM)
+    route, off, miss = refine(route, [cut.face for cut in cuts], *_drive(op, setup))
     figures = measure(route, wire, stock.box)
     issues = [*_driven(op, route, off, miss), *check(op, wire, route, cuts, figures, stock.box)]
     if has_errors(issues):
         raise TandemError(issues)
     within = max(shares(op, route, cut, figures)[2] for cut in cuts)
     return Attempt(op, wire, cuts, route, figures, issues, within)
+
+
+def _route(op: ElasticWire, cuts: list[Cut], setup: Setup) -> Route:
+    """The way through all cuts, before targets are added."""
+    margin, radius = op.margin_mm * MM, 0.5 * _wire(op).width
+    faces = [cut.face for cut in cuts]
+    return lay_out(faces, setup.stock.box, margin, radius, op.step_mm * MM, op.runs == "two")
+
+
+def _drive(op: ElasticWire, setup: Setup) -> tuple[FloatArray, float]:
+    """The block, and how far [m] the wire may be off between targets in it."""
+    return setup.stock.box, _DRIVE_TOL * op.shape_tol_mm * MM
 
 
 def _cuts(op: ElasticWire, wanted: Mapping[str, Mesh], setup: Setup) -> list[Cut]:

@@ -12,6 +12,7 @@ sheet.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any, Final
 
@@ -292,9 +293,30 @@ class StraightJob(Job[Straight]):
         """
         operation, setup, part = self.operation, self.setup, self.part
         stock, bow = setup.stock, bow_of(operation, setup)
+        todo, _, _, cuts = self._planned
+        box = stock.box
+        issues = [] if self.brief and all(cut.on.settled for cut in cuts) else self._judged()
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        down = stock.gravity[None] if stock.held_by is None else np.array([[0.0, 0.0, -1.0]])
+        clear = operation.margin_mm * MM + bow.radius
+        route = lay_out(cuts, box, clear, 0.5 * bow.span, down)
+        first, last = stretch(route.lines, box, operation.margin_mm * MM, bow.span)
+        pose = poses(route.lines, box, first, last)
+        issues += check_bow(operation, bow, route.lines, route.segment, box, pose)
+        issues += check_holder(operation, setup, part, cuts, route.lines, route.segment)
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        stated = () if self.brief else self.claims()
+        found = _targets(operation, setup, stated, bow, todo, cuts, route, pose, (first, last), issues)
+        return found if self.brief else dataclasses.replace(found, exhibits=exhibits(operation, bow, cuts))
+
+    def _judged(self) -> list[Issue]:
+        """Issues of the cuts, before their bows are looked at."""
+        operation, setup, part = self.operation, self.setup, self.part
+        bow, box = bow_of(operation, setup), setup.stock.box
         todo, kerf, thickness, cuts = self._planned
         ruled = () if part is None else part.ruled
-        box = stock.box
         issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
         settled = [
             cut for cut in cuts if cut.on.settled
@@ -311,19 +333,7 @@ class StraightJob(Job[Straight]):
             lambda op: _cuts(op, setup, part, bow, todo, _kerf(op, setup, bow, todo)[0]),
             most_power(HotWire(2.0 * bow.radius, bow.span)),
         )
-        issues += check_model(operation, setup, bow, cuts, thickness)
-        if has_errors(issues):
-            raise TandemError(aggregate(issues))
-        down = stock.gravity[None] if stock.held_by is None else np.array([[0.0, 0.0, -1.0]])
-        clear = operation.margin_mm * MM + bow.radius
-        route = lay_out(cuts, box, clear, 0.5 * bow.span, down)
-        first, last = stretch(route.lines, box, operation.margin_mm * MM, bow.span)
-        pose = poses(route.lines, box, first, last)
-        issues += check_bow(operation, bow, route.lines, route.segment, box, pose)
-        issues += check_holder(operation, setup, part, cuts, route.lines, route.segment)
-        if has_errors(issues):
-            raise TandemError(aggregate(issues))
-        return _targets(operation, setup, self.claims(), bow, todo, cuts, route, pose, (first, last), issues)
+        return [*issues, *check_model(operation, setup, bow, cuts, thickness)]
 
     @functools.cached_property
     def _planned(self) -> tuple[list[Wanted], KerfCurve, float, list[Cut]]:
@@ -411,7 +421,6 @@ def _targets(
         segment=route.segment,
         actions=actions(op, bow, setup, cuts, route),
         claims=claims,
-        exhibits=exhibits(op, bow, cuts),
         issues=aggregate(issues),
         rounding=rounding(op),
         may_join=True,

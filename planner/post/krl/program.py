@@ -39,6 +39,7 @@ from planner.post.krl.data import Data
 from planner.post.krl.syntax import Lines, comment, mark, name
 from planner.post.program import (
     LINE_END,
+    TRACK_COLUMN,
     AxesLook,
     Carry,
     Do,
@@ -125,6 +126,8 @@ UNKNOWN_START_PERCENT: Final = 10
 """Percents of a PTP from a place that is not known: the first one of a program."""
 _SPEED_SAMPLES: Final = 400
 """Places of a PTP at which the speed of the TCP is looked at."""
+ALL_PERCENT: Final = 100
+"""Percents of its own speed that a track may take as it goes along: less would slow down the tool."""
 _SPEED_SHARE: Final = 0.99
 """Share of the speed limit that a PTP may use, for the fastest place may lie between two of these."""
 
@@ -173,6 +176,7 @@ class Main:
         self._stood: Outer | None = None
         self._at: FloatArray | None = None
         self._percent = 0
+        self._slow = False
 
     def lines(self) -> list[str]:
         """The statements of the main program."""
@@ -239,7 +243,8 @@ class Main:
         if self._at is not None:
             tcp, most = operation.arm.tool.tcp, limits.speed_fraction
             share = ptp_percent(self.task.robot, self._at, step.q, tcp, limits.tcp_speed, most)
-        out = [] if self._percent else self._outer_speeds()
+        out = [] if self._slow else self._outer_speeds()
+        self._slow = True
         out += [f"$VEL_AXIS[{i}]={share}" for i in range(1, 7)] if share != self._percent else []
         self._at, self._percent = step.q, share
         if step.place == "start" and operation.track is not None:
@@ -254,7 +259,7 @@ class Main:
         return syntax.robroot_check(self.task.arm.name, self.dialect, self.along)
 
     def _outer_speeds(self) -> list[str]:
-        """Speeds of the external axes, whole percents of their own; they move to stations alone."""
+        """Speeds of the external axes on the way to stations, whole percents of their own."""
         shares = {column: speed.most / speed.own for column, speed in self.speeds.items()}
         percents = {column: max(1, int(np.floor(100.0 * share + 1e-9))) for column, share in shares.items()}
         return [f"$VEL_EXTAX[{column + 1}]={percent}" for column, percent in percents.items()]
@@ -309,6 +314,9 @@ class Main:
             self.bodies[word] = self._moves(index, operation, grouped)
             calls.append(f"{word}()")
         self._at = operation.track.q[last - 1]
+        if operation.track.outer is not None:  # the tool's speed says how fast the track goes along
+            calls = [f"$VEL_EXTAX[{TRACK_COLUMN + 1}]={ALL_PERCENT}", *calls]
+            self._slow, self._stood = False, syntax.ridden(operation.station, operation.track.outer[last - 1])
         if self.partner is not None and operation.meets[first:last].any():
             together = vocabulary.TOGETHER.filled(arm=self.partner.other)
             return syntax.during(together, calls, self.dialect)
@@ -378,7 +386,9 @@ def _lines(task: TaskProgram, plan: Plan, problem: Problem, data: Data) -> list[
     controller = problem.cell.controller
     rows = spline_blocks.operation_rows(task, data)
     lines = [
-        None if own is None else linear_moves.lines(own, controller.dialect, operation.station)
+        None
+        if own is None
+        else linear_moves.lines(own, controller.dialect, operation.station, _ridden(operation))
         for own, operation in zip(rows, task.operations, strict=True)
     ]
     if controller.path == "slin":
@@ -388,6 +398,11 @@ def _lines(task: TaskProgram, plan: Plan, problem: Problem, data: Data) -> list[
         None if text is None or own is None else spline_blocks.with_blocks(text, own, runs)
         for text, own, runs in zip(lines, rows, found, strict=True)
     ]
+
+
+def _ridden(operation: OperationProgram) -> FloatArray | None:
+    """Values (M,) [mm] of a track that goes along, None where it stands."""
+    return None if operation.track is None else operation.track.outer
 
 
 def _files(

@@ -219,6 +219,9 @@ def spline_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, .
         if arm.sag is not None:
             got = f"path: spline for {arm.name}, whose sag is compensated: proven on straight moves alone"
             issues.append(Issue("post.path", got, field="controller.path", arm=arm.name, hint=hint))
+        if arm.follows:
+            got = f"path: spline for {arm.name}, whose track goes along: how a curve takes it is not known"
+            issues.append(Issue("post.path", got, field="controller.path", arm=arm.name, hint=hint))
     kinds = dict.fromkeys(kind for t in made for kind in on_straight_moves_alone(t.claims))
     if kinds:
         got = f"path: spline for work that claims {', '.join(kinds)}, which is proven on straight moves alone"

@@ -24,15 +24,15 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_quater
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
 from planner.post.program import (
-    OUTER_DECIMALS,
     POSITION_DECIMALS,
+    TRACK_COLUMN,
     Outer,
     Track,
     number,
     plain,
     short,
 )
-from planner.problem import KrlDialect
+from planner.problem import OUTER_DECIMALS, KrlDialect
 
 NAME_LENGTH: Final = 24
 """Longest name in KRL [characters]."""
@@ -143,6 +143,11 @@ def _all_outer(station: Outer | None) -> dict[str, str]:
 def outer(station: Outer | None) -> str:
     """What a target in place has behind its pose: the external axes that the program moves."""
     return "".join(f",E{column + 1} {number(value, OUTER_DECIMALS)}" for column, value in station or ())
+
+
+def ridden(station: Outer | None, value: float) -> Outer:
+    """A station with another value [mm] of the track."""
+    return tuple({**dict(station or ()), TRACK_COLUMN: value}.items())
 
 
 def aggregate(fields: Mapping[str, str]) -> str:
@@ -466,16 +471,21 @@ class Lines:
         return Lines(move, _changes(values), values)
 
 
-def lines(moves: Rows, dialect: KrlDialect, station: Outer | None = None) -> Lines:
-    """The text of all moves, external axes at ``station``."""
-    axes = outer(station)
+def lines(
+    moves: Rows, dialect: KrlDialect, station: Outer | None = None, along: FloatArray | None = None
+) -> Lines:
+    """The text of all moves, external axes at ``station``; ``along`` (M,) [mm]: values of a track that goes
+    along."""
+    axes = [outer(station)] * len(moves.stop)
+    if along is not None:
+        axes = [outer(ridden(station, value)) for value in along.tolist()]
     word = "SLIN" if dialect == "krc4" else "LIN"
     values = _modal(moves)
     settings = _changes(values)
-    poses = zip(moves.position.tolist(), moves.angles.tolist(), _ends(moves, dialect), strict=True)
+    poses = zip(moves.position.tolist(), moves.angles.tolist(), axes, _ends(moves, dialect), strict=True)
     move = [
-        f"{word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}{axes}}}{end}"
-        for (x, y, z), (a, b, c), end in poses
+        f"{word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}{stands}}}{end}"
+        for (x, y, z), (a, b, c), stands, end in poses
     ]
     for row in np.flatnonzero(moves.still).tolist():
         move[row] = f"WAIT SEC {short(float(moves.duration[row]), 5)}"

@@ -17,7 +17,6 @@ from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import (
-    OUTER_DECIMALS,
     TRACK_COLUMN,
     Carry,
     Job,
@@ -30,7 +29,7 @@ from planner.post.program import (
 )
 from planner.post.rapid.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
 from planner.post.steps import LEAST_MASS, outer_names, outer_speeds
-from planner.problem import BLIND_SPEED, Problem
+from planner.problem import BLIND_SPEED, OUTER_DECIMALS, Problem
 from planner.tooling import Tool
 
 TASK_LIST = "all_tasks"

@@ -21,7 +21,8 @@ from planner.claims.vocabulary import HEADER, Segment, fold
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
-from planner.post.program import OUTER_DECIMALS, TRACK_COLUMN, Outer, Part, Track, number, plain, short
+from planner.post.program import TRACK_COLUMN, Outer, Part, Track, number, plain, short
+from planner.problem import OUTER_DECIMALS
 from planner.targets import Action
 
 NAME_LENGTH: Final = 32

@@ -130,7 +130,8 @@ class Runner:
         self.works: dict[str, WorkObject] = {}
         self.here: _Pose | None = None
         self.outer: Outer = ()
-        self.stood: FloatArray | None = None
+        self.stood: float | None = None
+        self.rode: float | None = None
         self.on: set[int] = set()
         self.carried = ""
         self.load_line = 0
@@ -357,15 +358,12 @@ class Runner:
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
         self._needed(line, AXIS_SPEEDS)
         share = tuple(float(self.settings[axis]) / 100.0 for axis in AXIS_SPEEDS)
-        outer = tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in OUTER_SPEEDS)
-        speed = Speed(math.inf, math.inf, 0.0, 0.0, share, outer)
+        speed = Speed(math.inf, math.inf, 0.0, 0.0, share, self._outer_shares())
         target: JointTarget | StatusTarget = item.value
         self._move(line, "PTP", target, item.name, None, speed, _EXACT_STOP, "")
-        if self.panel.along is not None and (
-            self.stood is None or target.external[TRACK_COLUMN] != self.stood[TRACK_COLUMN]
-        ):
+        if self.panel.along is not None and target.external[TRACK_COLUMN] not in (self.stood, self.rode):
             self.panel.looked = False  # where the track stands now is not known before the next look
-        self.stood = target.external
+        self.stood, self.rode = float(target.external[TRACK_COLUMN]), None
         self.here, self.outer = None, ()
         if isinstance(target, StatusTarget):
             x, y, z = (1e3 * target.position).tolist()
@@ -382,7 +380,7 @@ class Runner:
         zone, name = self._zone(move.corner)
         time = max(way / speed.tcp, turn / speed.turn)
         self._move(line, move.word, target, "", time, speed, zone, name)
-        self.here, self.outer = there, move.outer
+        self.here, self.outer, self.rode = there, move.outer, float(target.external[TRACK_COLUMN])
 
     def _spline(self, block: Spline) -> None:
         """The points of a spline block as moves: each takes its share of the block's time, and only the last
@@ -425,7 +423,11 @@ class Runner:
         there = _Pose((x, y, z), quaternion(a, b, c))
         way, turn = _apart(here, there)
         rate = math.sqrt(2.0) * math.radians(turning)
-        return Speed(velocity, rate, 0.0, 0.0), way, turn, there
+        return Speed(velocity, rate, 0.0, 0.0, outer=self._outer_shares()), way, turn, there
+
+    def _outer_shares(self) -> tuple[float, ...]:
+        """The shares (6,) of their own speeds that external axes may take."""
+        return tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in OUTER_SPEEDS)
 
     def _stand(self, line: int, seconds: float) -> None:
         """A wait in a file with moves: the arm's part of a move in which it stands still."""
@@ -465,7 +467,8 @@ class Runner:
             angle = math.pi
         if corner == "C_ORI":
             way = _UNBOUNDED
-        return Zone(False, way, 0.0, 0.0, angle, 0.0, 0.0), corner
+        # external axes leave their ways with the tool, where that does
+        return Zone(False, way, 0.0, 0.0, angle, way, 0.0), corner
 
 
 def _target(place: _Pose, outer: Outer) -> RobTarget:

@@ -16,6 +16,7 @@ from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, OuterAxis, at_node, at_sample, mm, outer_axes, rule
 from planner.verify.job import TaskText
+from planner.verify.programs.steps import MoveStep
 from planner.verify.replay.motion import differences
 from planner.verify.rules.external_axes import SAME_VALUE
 
@@ -24,6 +25,8 @@ _CODE = "verify.track_along"
 MEAN_OVER = 0.1
 """A value may be the mean of those on so much [m] of the tool's way before and behind, which weigh the less
 the farther off they are."""
+LEAST_SPEED = 1e-9
+"""Speeds [m/s] of a track that are 0 count as this one."""
 NOISE = 6e-3
 """Values [m] that differ by no more fit one law: tools may slide a little where poses leave them free."""
 
@@ -31,7 +34,8 @@ NOISE = 6e-3
 @rule("verify.track_along")
 def track_along(context: Context) -> Outcome:
     """A track that goes along has at each target the value that its law has for where the tool is, with one
-    offset for all of an operation, and keeps its range, speed and acceleration everywhere."""
+    offset for all of an operation, and keeps its range, speed and acceleration everywhere; in KRL it goes no
+    faster than the share of its speed that is in force lets it."""
     issues: list[Issue] = []
     worst, where = 0.0, ""
     for index, riding in enumerate(context.riding):
@@ -45,14 +49,17 @@ def track_along(context: Context) -> Outcome:
                 continue
             astray = list(_off_law(context, index, task, axis, how.axis))
             issues += astray or _beyond(context, axis, task.arm.name, rows, how.station)
-            for word, value, limit, share in _shares(context, axis, task.arm.name, rows):
+            for word, value, limits in _shares(context, task, axis, rows):
+                share = value / limits
                 k = int(np.argmax(share))
+                limit = float(limits[k])
                 if share[k] > worst:
                     worst, where = float(share[k]), f"{word} of {axis.unit}"
                 if share[k] > 1.0 + SAME_VALUE and not astray:  # which asks for more than it can besides
                     unit = {"speed": "mm/s", "acceleration": "mm/s^2"}[word]
                     what = f"{axis.unit} would need the {word} {mm(value[k]):.1f} {unit} as it goes along; "
                     what += f"allowed: {mm(limit):g}"
+                    what += ", by its $VEL_EXTAX" if limit < axis.speed and word == "speed" else ""
                     measure = (mm(value[k]), mm(limit), unit)
                     sample, arm = int(rows[k]), task.arm.name
                     issues.append(at_sample(_CODE, what, context.motion, arm, sample, measure))
@@ -61,17 +68,29 @@ def track_along(context: Context) -> Outcome:
 
 
 def _shares(
-    context: Context, axis: OuterAxis, arm: str, rows: IntArray
-) -> Iterator[tuple[str, FloatArray, float, FloatArray]]:
-    """Speed and acceleration of a track at samples ``rows`` (K,) of a setup: word, sizes (K,), limit, shares
-    of it (K,)."""
+    context: Context, task: TaskText, axis: OuterAxis, rows: IntArray
+) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """Speed and acceleration of a track at samples ``rows`` (K,) of a setup: word, sizes (K,), limits
+    (K,)."""
     motion = context.motion
-    time, gone = motion.time[rows], motion.ridden[arm][rows]
+    time, gone = motion.time[rows], motion.ridden[task.arm.name][rows]
+    speed = _let(context, task, axis)[motion.node[rows]]
     for order, (word, limit) in enumerate(
-        (("speed", axis.speed), ("acceleration", axis.acceleration)), start=1
+        (("speed", speed), ("acceleration", np.full(len(rows), axis.acceleration))), start=1
     ):
-        size = np.abs(differences(time, gone, order))
-        yield word, size, limit, size / limit
+        yield word, np.abs(differences(time, gone, order)), limit
+
+
+def _let(context: Context, task: TaskText, axis: OuterAxis) -> FloatArray:
+    """Speeds [m/s] that a text lets a track have on the way to each node (N,): its own, and in KRL no more
+    than the share of it that is in force."""
+    motion = context.motion
+    out = np.full(len(motion.node_stage), axis.speed)
+    for rows, moves in _nodes(context, task):
+        free = [move.by_joints or move.speed.outer is None for move in moves]
+        told = [axis.speed if own else axis.told(move) for own, move in zip(free, moves, strict=True)]
+        out[rows[: len(told)]] = np.clip(told[: len(rows)], LEAST_SPEED, axis.speed)
+    return out
 
 
 def _beyond(context: Context, axis: OuterAxis, arm: str, rows: IntArray, station: float) -> Iterator[Issue]:
@@ -119,15 +138,22 @@ def _off_law(
 def _straight(context: Context, index: int, task: TaskText, axis: OuterAxis) -> tuple[IntArray, FloatArray]:
     """Nodes (K,) of setup ``index`` that a task reaches by straight moves, and the values (K,) [m] that its
     targets have there."""
-    motion, arm = context.motion, task.arm.name
     nodes: list[int] = []
     values: list[float] = []
-    for number, stage in enumerate(context.job.stages):
-        if int(context.spans.of_stage[number]) != index:
-            continue
-        rows = np.flatnonzero((motion.node_stage == number) & (motion.node_line[arm] > 0))
-        for row, move in zip(rows.tolist(), stage.moves(task.name), strict=False):
+    for rows, moves in _nodes(context, task, index):
+        for row, move in zip(rows.tolist(), moves, strict=False):
             if not move.by_joints:
                 nodes.append(row)
                 values.append(axis.scale * float(move.target.external[axis.column]))
     return np.array(nodes, dtype=np.int64), np.array(values)
+
+
+def _nodes(
+    context: Context, task: TaskText, index: int | None = None
+) -> Iterator[tuple[IntArray, tuple[MoveStep, ...]]]:
+    """Nodes (K,) of each stage and the moves of a task that reach them, of setup ``index`` or of all."""
+    motion = context.motion
+    for number, stage in enumerate(context.job.stages):
+        if index is None or int(context.spans.of_stage[number]) == index:
+            rows = (motion.node_stage == number) & (motion.node_line[task.arm.name] > 0)
+            yield np.flatnonzero(rows), stage.moves(task.name)

@@ -90,6 +90,28 @@ def test_long_titles_are_not_cut_off(page: Page, shop: tuple[str, dict[str, str]
         assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], []), path
 
 
+def test_long_titles_take_few_lines_where_lists_are_narrow_and_marks_stay_in_their_row(
+    page: Page, shop: tuple[str, dict[str, str]]
+) -> None:
+    url, _ = shop
+    page.set_viewport_size({"width": 390, "height": 900})
+    page.goto(url)
+    name = page.get_by_role("link", name="W" * 200)
+    expect(name).to_have_attribute("title", "W" * 200)
+    seen = """one => [one.clientHeight / parseFloat(getComputedStyle(one).lineHeight), one.scrollHeight]"""
+    lines, whole = name.evaluate(seen)
+    assert lines <= 3.1 and whole > 200
+    name.focus()
+    page.keyboard.press("Shift+Tab")
+    page.keyboard.press("Tab")  # as by the keyboard, or a finger that stays on it: all of it
+    assert name.evaluate(seen)[0] > 6
+    for width in (390, 1440):
+        page.set_viewport_size({"width": width, "height": 900})
+        hides = "one => getComputedStyle(one).overflowY"
+        for kept in (name, page.locator("#rows .sub").first, page.locator("#rows .tag").first):
+            assert kept.evaluate(hides) in ("clip", "hidden")
+
+
 def test_each_job_has_a_picture_or_the_sign_of_its_process(
     page: Page, shop: tuple[str, dict[str, str]]
 ) -> None:

@@ -30,6 +30,7 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, d
         "ann": auth.make("ann", "release", "shop"),
         "bob": auth.make("bob", "plan", "shop"),
         "lea": auth.make("lea", "view", "shop"),
+        "cell-3": auth.make("cell-3", None, "shop", scope="released"),
     }
     process = Process(data, "--require-token").wait()
     client = planner.Client(process.url, tokens["bob"])
@@ -70,6 +71,7 @@ def test_programs_are_released_and_withdrawn_by_name(
     with page.expect_download() as got:
         page.get_by_role("link", name="Download released programs").click()
     assert got.value.suggested_filename == "small-released.zip"
+    screen = at_the_cell(page, url, tokens["cell-3"], job)
     page.get_by_role("button", name="Delete").click()
     expect(page.locator("#sure")).to_contain_text("they are released")
     page.get_by_role("button", name="Keep it").click()
@@ -81,8 +83,31 @@ def test_programs_are_released_and_withdrawn_by_name(
     ask.get_by_role("button", name="Withdraw", exact=True).click()
     expect(page.locator("#released-title")).to_contain_text("Withdrawn")
     expect(page.locator("#released-list")).to_contain_text("withdrawn by ann")
+    screen.goto(url)
+    expect(screen.get_by_role("heading", name="Nothing is released")).to_be_visible()
+    screen.close()
     page.goto(url)
     expect(page.locator(".jobs .sub").first).to_contain_text("of bob")
+
+
+def at_the_cell(page: Page, url: str, token: str, job: str) -> Page:
+    """The page as a token sees it that reads what is released: the job, and nothing that it may not do."""
+    browser = page.context.browser
+    assert browser is not None
+    screen = browser.new_page(viewport={"width": 390, "height": 844})
+    refused: list[str] = []
+    screen.on("response", lambda answer: refused.append(answer.url) if answer.status == 403 else None)
+    login(screen, url, token)
+    screen.goto(url)
+    expect(screen.locator("#me")).to_have_text("cell-3 · shop · released programs alone")
+    screen.get_by_role("link", name="small").click()
+    expect(screen.get_by_role("link", name="Download released programs")).to_be_visible()
+    expect(screen.get_by_role("tab", name="Replay")).to_be_visible()
+    assert screen.get_by_role("navigation").get_by_role("link").all_inner_texts() == ["Jobs"]
+    assert screen.locator("#actions").get_by_role("button").count() == 0
+    assert screen.locator("#actions").get_by_role("link").count() == 1
+    assert (screen.evaluate(CUT_OFF), screen.evaluate(NAMELESS), refused) == ([], [], [])
+    return screen
 
 
 @pytest.mark.parametrize(("who", "may"), [("lea", 0), ("bob", 1), ("ann", 2)])

@@ -119,7 +119,7 @@ export class CellPanel {
     this.choose(chosen);
     const bad = all.filter((target) => target.posture === undefined).length;
     $("cell-canvas").setAttribute("aria-label", `3D view of the cell: ${data.arms.map((arm) => `${arm.name}, ${arm.robot}`).join("; ")}${all.length ? `; ${bad} of ${all.length} targets cannot be worked at` : ""}`);
-    $("cell-note").textContent = !data.placed ? "The block is not drawn: no place for it is known yet." : all.length ? `${number(all.length)} of ${number(data.of)} targets looked at${bad ? `, ${bad} without a posture (red)` : ", all have a posture"}` : "";
+    $("cell-note").textContent = !data.placed ? "The block is not drawn: no place for it is known yet." : all.length ? `${number(all.length)} of ${number(data.of)} targets${data.thinned ? " of a coarser path" : ""} looked at${bad ? `, ${bad} without a posture (red)` : ", all have a posture"}` : "";
     this.reach();
     this.freedoms(data);
     if (all.length) this.go(Math.min(this.number, all.length));

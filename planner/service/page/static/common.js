@@ -72,7 +72,9 @@ export const me = document.body.dataset.page === "login" ? Promise.resolve(null)
 me.then((who) => {
   if (!who) return;
   document.body.dataset.role = who.role;
-  if ($("me") && who.tokens) $("me").textContent = [who.name, who.team, who.role].filter(Boolean).join(" · ");
+  if (who.scope) document.body.dataset.scope = who.scope;
+  const may = { submit: "own jobs alone", released: `released programs alone${who.tag ? `, ${who.tag}` : ""}` }[who.scope];
+  if ($("me") && who.tokens) $("me").textContent = [who.name, who.team, may ?? who.role].filter(Boolean).join(" · ");
 });
 
 $("logout")?.addEventListener("click", async () => {

@@ -23,7 +23,7 @@ function row(one) {
   const opens = { draft: `/ui/new?draft=${one.id}`, template: `/ui/new?template=${one.id}` }[one.kind];
   const title = h("bdi", {}, one.title);
   return h("tr", {},
-    h("td", {}, opens ? h("a", { href: opens, class: "job-name" }, title) : h("b", {}, title), h("span", { class: "sub" }, [one.by !== own ? `of ${one.by}` : null, `version ${one.version}`].filter(Boolean).join(", "), sent(one))),
+    h("td", {}, opens ? h("a", { href: opens, class: "job-name", title: one.title }, title) : h("b", { class: "job-name", title: one.title }, title), h("span", { class: "sub" }, [one.by !== own ? `of ${one.by}` : null, `version ${one.version}`].filter(Boolean).join(", "), sent(one))),
     h("td", {}, KINDS[one.kind]),
     h("td", { class: "wide" }, age(one.changed)),
     h("td", { class: "n" }, h("span", { class: "actions plans" },

@@ -6,6 +6,7 @@ import { drawDescription, setUpDescription } from "./describe.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
 import { atFields, goTo, issueItem, placeOf, sorted } from "./issues.js";
 import { badge } from "./outcome.js";
+import { pictureOf } from "./thumbnail.js";
 import { COLOURS, PanelView } from "./panel_view.js";
 import { drawReleasePanels, released, setUpReleasePanels } from "./release_panels.js";
 import { Sliders } from "./sliders.js";
@@ -208,7 +209,7 @@ function row(panel) {
   const done = panel.mark ? `mark-${panel.mark}` : "";
   const facts = [panel.order ? `${panel.order}. to be put up` : null, panel.block ? `from ${panel.block}` : null, panel.block_mm.map((v) => number(v)).join(" × ") + " mm", panel.cycle_s ? duration(panel.cycle_s) : null];
   return h("li", { class: `panel ${own === chosen ? "chosen" : ""} ${done}`, data: { panel: own } },
-    h("div", { class: "who" }, h("button", { type: "button", class: "link id", "aria-pressed": String(own === chosen), "aria-label": `Show panel ${own} in the drawing`, data: { key: `show-${own}` }, onclick: () => choose(own === chosen ? "" : own, false) }, own), h("span", { class: "sub" }, facts.filter(Boolean).join(" · "))),
+    h("div", { class: "who" }, panel.thumbnail ? pictureOf(panel.job, `panel ${own}`) : null, h("div", {}, h("button", { type: "button", class: "link id", "aria-pressed": String(own === chosen), "aria-label": `Show panel ${own} in the drawing`, data: { key: `show-${own}` }, onclick: () => choose(own === chosen ? "" : own, false) }, own), h("span", { class: "sub" }, facts.filter(Boolean).join(" · ")))),
     h("div", { class: "what" },
       h("span", { class: `badge ${STATE_KIND[state]}` }, h("i", { "aria-hidden": "true" }), stateWords(panel).replace(/^./, (c) => c.toUpperCase())),
       panel.job ? h("a", { href: `/ui/jobs/${panel.job}`, "aria-label": `Job of ${own}`, data: { key: `job-${own}` } }, "job") : null,

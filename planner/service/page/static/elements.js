@@ -48,7 +48,7 @@ async function load(cursor = null) {
 function row(one) {
   const count = one.fields?.["panels.hexagons.count"];
   return h("tr", {},
-    h("td", {}, h("a", { href: `/ui/elements/${one.id}`, class: "job-name", data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.id.slice(0, 8)].filter(Boolean).join(", "))),
+    h("td", {}, h("a", { href: `/ui/elements/${one.id}`, class: "job-name", title: one.title || one.name, data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.id.slice(0, 8)].filter(Boolean).join(", "))),
     h("td", {}, badge(one.state), one.state === "running" ? h("span", { class: "sub" }, one.stage ?? "") : null),
     h("td", { class: "wide" }, `${count ? `${count} ` : ""}${one.kind ?? ""}`),
     h("td", { class: "n wide" }, one.planned ? String(one.planned) : ""),

@@ -27,6 +27,7 @@ let next = null;
 const marked = [];
 const pictures = new Map();
 let own; // jobs of others say whose they are
+let reads = false; // what is released, and no more
 
 function query(cursor) {
   const given = new URLSearchParams({ limit: 50, sort: GROUPS[group][0] === "Queue" ? "turn" : $("sort").value });
@@ -41,7 +42,8 @@ const narrowed = () => group !== 0 || tags.length > 0 || Boolean($("search").val
 async function load(cursor = null) {
   const mine = turn;
   const page = await json(query(cursor));
-  own = (await me)?.name;
+  const who = await me;
+  [own, reads] = [who?.name, who?.scope === "released"];
   if (mine !== turn) return;
   if (!cursor) jobs = new Map([...page.jobs.map((one) => [one.id, one]), ...[...jobs].filter(([id]) => jobs.size > 50 && !page.jobs.some((one) => one.id === id))]);
   else for (const one of page.jobs) jobs.set(one.id, one);
@@ -56,7 +58,8 @@ async function load(cursor = null) {
 function draw() {
   const all = [...jobs.values()];
   show($("table"), all.length > 0);
-  show($("empty"), !all.length && !narrowed());
+  show($("empty"), !all.length && !narrowed() && !reads);
+  show($("unreleased"), !all.length && !narrowed() && reads);
   show($("none"), !all.length && narrowed());
   show($("older"), Boolean(next));
   const focus = document.activeElement?.dataset.key;
@@ -74,8 +77,8 @@ function row(one) {
   return h(
     "tr",
     {},
-    h("td", {}, box),
-    h("td", {}, h("div", { class: "pictured" }, picture(one), h("div", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))))),
+    h("td", { class: "beyond" }, box),
+    h("td", {}, h("div", { class: "pictured" }, picture(one), h("div", {}, h("a", { href: `/ui/jobs/${one.id}`, class: "job-name", title: one.title || one.name, data: { key: one.id } }, h("bdi", {}, one.title || one.name)), (one.tags ?? []).map((tag) => h("button", { type: "button", class: "tag", onclick: () => narrow([...new Set([...tags, tag])]) }, h("bdi", {}, tag))), h("span", { class: "sub" }, [one.title ? one.name : null, one.by && one.by !== own ? `of ${one.by}` : null, one.from_store ? "answered from the store" : one.id.slice(0, 8)].filter(Boolean).join(", "))))),
     h("td", {}, badge(one.state), AGAIN.includes(one.state) ? h("button", { type: "button", class: "small plans", data: { key: `again-${one.id}` }, "aria-label": `Try ${one.title || one.name} again`, onclick: () => act(one, "retry", "waits again") }, "Try again") : null, h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : one.state === "queued" ? place(one) : [one.released && "released", count].filter(Boolean).join(", "))),
     h("td", { class: "wide" }, one.processes.map(processName).join(", ")),
     h("td", { class: "n" }, figure("cycle_s", duration)),
@@ -171,6 +174,7 @@ async function removeMarked() {
 }
 
 async function room() {
+  if ((await me)?.scope === "released") return; // has no files of its own, and may not ask
   const { used_mb: used, limit_mb: limit } = await json("/v1/storage");
   show($("room"), jobs.size > 0);
   $("room").textContent = `The files of your jobs take ${bytes(1e6 * used)} of ${bytes(1e6 * limit)}; deleted jobs give theirs back.`;

@@ -279,7 +279,7 @@ async function check() {
     if (!some.looked_at) return; // there are no targets
     seen.looked = true;
     cell?.look(own.signal);
-    if (!errors(some.issues).length) going(`${some.looked_at.placed ? `Looked at ${share(some.looked_at)} targets: no fault so far` : "None of the first places of the block will do: more are tried"}. Testing the part, the tools and the reach of every target …`);
+    if (!errors(some.issues).length) going(`${some.looked_at.placed ? `Looked at ${share(some.looked_at)}: no fault so far` : "None of the first places of the block will do: more are tried"}. Testing the part, the tools and the reach of every target …`);
     const whole = await (await post("/v1/check?reach=true", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
     found(whole.issues, true);
   } catch (error) {
@@ -332,7 +332,7 @@ function say(kind, text) {
   $("verdict").replaceChildren(...(kind === "busy" ? [] : [icon(kind === "ok" ? "check" : kind === "warn" ? "warning" : "cross")]), text);
 }
 
-const share = ({ targets, of }) => `${number(targets)} of ${number(of)}`;
+const share = ({ targets, of, thinned }) => `${number(targets)} of ${number(of)} targets${thinned ? " of a coarser path" : ""}`;
 
 // What was sent is refused: the check that is under way beside it tells nothing over that.
 function tellRefused(issues) {
@@ -346,7 +346,7 @@ function tellIssues(issues, readable, looked = null) {
   state.issues = issues.map((issue) => ({ ...issue, field: issue.field ?? fieldOf(issue), line: issue.code.startsWith("problem.") ? undefined : issue.line }));
   atFields(state.issues);
   const wrong = errors(issues).length;
-  if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}${looked ? `; looked at ${share(looked)} targets so far` : ""}`);
+  if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}${looked ? `; looked at ${share(looked)} so far` : ""}`);
   else if (issues.length) say("warn", `Ready, with ${issues.length} remark${issues.length > 1 ? "s" : ""}`);
   else say("ok", "Ready: the arms reach every target");
   $("check-issues").replaceChildren(...sorted(state.issues).map((issue) => issueItem(issue, { edit: goTo, removes, remove })));

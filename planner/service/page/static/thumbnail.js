@@ -21,10 +21,11 @@ function sign(one) {
   return svg("svg", { class: "thumb sign", viewBox: "0 0 40 24", role: "img", "aria-label": name }, svg("path", { d: SIGNS[process] ?? OTHER }));
 }
 
-// The picture of a job, which is fetched when it comes into view.
-export function thumbnail(one) {
-  if (!one.thumbnail) return sign(one);
-  const picture = h("img", { class: "thumb", loading: "lazy", decoding: "async", width: 100, height: 60, alt: `The cell of ${one.title || one.name}`, onerror: () => picture.replaceWith(sign(one)) });
-  picture.src = fileOf(one.id, FILE); // after what says when it is to be fetched
+// The picture of a job, which is fetched when it comes into view; without one, nothing or what stands for it.
+export function pictureOf(job, name, instead = () => "") {
+  const picture = h("img", { class: "thumb", loading: "lazy", decoding: "async", width: 100, height: 60, alt: `The cell of ${name}`, onerror: () => picture.replaceWith(instead()) });
+  picture.src = fileOf(job, FILE); // after what says when it is to be fetched
   return picture;
 }
+
+export const thumbnail = (one) => (one.thumbnail ? pictureOf(one.id, one.title || one.name, () => sign(one)) : sign(one));
