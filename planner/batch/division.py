@@ -28,7 +28,8 @@ from planner.element import (
     wall_files,
     walls,
 )
-from planner.element.elastic import ElasticPanel, Judge
+from planner.element.elastic import Judge
+from planner.element.elastic_panel import JOINT_SHARE, ElasticPanel, joints
 from planner.element.element_file import ElasticElement, HexagonElement, StripsElement, WallElement
 from planner.element.jobs import panel_files
 from planner.element.run_report import ElementRun
@@ -99,8 +100,14 @@ def _written(element: AnyElement, folder: Path | None) -> AnyElement:
     def named(template: AnyTemplate) -> AnyTemplate:
         return dataclasses.replace(template, data=each_file(template.data, carried))
 
-    saw = None if element.saw is None else named(element.saw)
-    return dataclasses.replace(element, templates=tuple(map(named, element.templates)), saw=saw)
+    saw, file, cut = (
+        None if element.saw is None else named(element.saw),
+        element.file,
+        element.file.cut_blocks,
+    )
+    if cut is not None and cut.together:  # each panel is a job of its own there
+        file = file.model_copy(update={"cut_blocks": cut.model_copy(update={"together": False})})
+    return dataclasses.replace(element, file=file, templates=tuple(map(named, element.templates)), saw=saw)
 
 
 def _elastic(element: ElasticElement, folder: Path | None) -> Made:
@@ -109,12 +116,12 @@ def _elastic(element: ElasticElement, folder: Path | None) -> Made:
     judge = _judge(element) if element.judged else None
     panels = elastic.divide_elastic(made, judge, held=element.wanted.check != "none")
     files, told = output.folder(_written(element, folder), panels)
-    steps = np.concatenate([joint.steps.ravel() for joint in elastic.joints(panels)] or [np.zeros(1)]) / MM
+    steps = np.concatenate([joint.steps.ravel() for joint in joints(panels)] or [np.zeros(1)]) / MM
     off = max(panel.misfit for panel in panels) / MM
     said = (
         f"{len(panels)} panels, at most {off:.2f} mm off the surface; "
-        f"steps at joints {np.percentile(steps, output.JOINT_SHARE):.2f} mm at "
-        f"{output.JOINT_SHARE:g} %, {steps.max():.2f} mm at most"
+        f"steps at joints {np.percentile(steps, JOINT_SHARE):.2f} mm at "
+        f"{JOINT_SHARE:g} %, {steps.max():.2f} mm at most"
     )
     return files, told, said
 

@@ -6,7 +6,11 @@ from collections.abc import Sequence
 from html import escape
 from typing import Final
 
+import numpy as np
+
 from planner.element.nest import NestedBlock, Nesting, PanelBlock, level_cuts, total_yields, yields
+from planner.element.rows import Row
+from planner.geometry.arrays import FloatArray
 from planner.geometry.cut_tree import Cut, Part
 from planner.geometry.units import MM
 
@@ -14,7 +18,7 @@ _PAGE: Final = 1240.0  # width of the drawing [px]
 _COLUMNS: Final = 2
 _GAP: Final = 60.0  # px between drawings, and above each for its title
 _INK, _CUT, _SOFT = "#1a1a1a", "#b3261e", "#6b6b6b"
-_PANEL, _LEFT = "#dbe7f1", "#f1efe9"
+_PANEL, _ROW, _LEFT = "#dbe7f1", "#eef2f5", "#f1efe9"
 _BOLD = ' font-weight="600"'
 
 
@@ -26,10 +30,16 @@ def drawing(name: str, nesting: Nesting, panels: Sequence[PanelBlock], kerf: flo
     sure = {"bound": "the least there is", "two-stage": "no nest of strips takes fewer"}
     why = f" ({sure[nesting.least]})" if nesting.least else ""
     count = len(nesting.blocks)
+    rows = any(block.rows for block in nesting.blocks)
+    round_them = "panels are cut out of light blue parts together, along red outlines; " if rows else ""
     texts = [
         (28, 34, f"{name}: {count} blocks{why}, at least {nesting.bound} by area"),
         (18, 64, f"of the foam {volume:.0f} % are panels, {boxes:.0f} % the blocks that they are cut from"),
-        (18, 88, "red: cuts in their order, each through one whole part; beige: left over; mm"),
+        (
+            18,
+            88,
+            "red: cuts in their order, each through one whole part; beige: left over; " + round_them + "mm",
+        ),
     ]
     out = [
         f'<text x="0" y="{y}" font-size="{size}"{_BOLD if size > 20 else ""}>{escape(line)}</text>'
@@ -72,10 +82,15 @@ def _block(
         y = top + high - (part.y + part.width) * scale
         return left + part.x * scale, y, part.length * scale, part.width * scale
 
-    for part in block.tree.boxes():
+    for row in block.rows.values():
+        out.append(_rectangle(*box(row.part), _ROW))
+        out += [_outline(row, ring, left, top + high, scale) for ring in row.outlines.values()]
+    own = {id(piece) for row in block.rows.values() for piece in row.pieces}
+    for part in block.boxes():
         x, y, long, wide = box(part)
         i = block.panel(part.box)
-        out.append(_rectangle(x, y, long, wide, _PANEL))
+        if id(part) not in own:
+            out.append(_rectangle(x, y, long, wide, _PANEL))
         told = [panels[i].name, f"{part.length / MM:.0f} x {part.width / MM:.0f}"]
         if i in levels:
             told += [f"{panels[i].thickness / MM:g} thick", f"level cut {levels[i]}"]
@@ -88,6 +103,14 @@ def _block(
         f'fill="none" stroke="{_INK}" stroke-width="1.6"/>'
     )
     return out
+
+
+def _outline(row: Row, ring: FloatArray, left: float, bottom: float, scale: float) -> str:
+    """A panel of a row, its front, where the wire goes round it."""
+    middle = np.array([row.part.x + 0.5 * row.part.length, row.part.y + 0.5 * row.part.width])
+    points = (ring[1, :, :2] + middle) * [scale, -scale] + [left, bottom]
+    where = " ".join(f"{x:.1f},{y:.1f}" for x, y in points.tolist())
+    return f'<polygon points="{where}" fill="{_PANEL}" stroke="{_CUT}" stroke-width="1.2"/>'
 
 
 def _told(lines: list[str], x: float, y: float, long: float, wide: float) -> list[str]:

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
 
+from planner.element.elastic_panel import ElasticPanel, joints
 from planner.element.misfit import (
     MISFIT_STEP,
     SECTIONS_PER_CELL,
@@ -28,7 +29,7 @@ from planner.element.panel_box import Nodes, block_axes, box_sizes, grid_nodes, 
 from planner.element.panel_faces import CutWire, bend, cut_out, holds
 from planner.element.surface import ElementSurface, Profile, profiles
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
-from planner.geometry.guillotine import divide
+from planner.geometry.guillotine import Division, divide
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -41,6 +42,12 @@ _MOST_ROUNDS = 200
 """Divisions that are tried at most, each without the panels that failed in the one before."""
 _MOST_JUDGED = 100
 """The same where panels are struck off by their check: then the first division stands, with its reasons."""
+_MOST_EVENED = 20
+"""Divisions with evener joints that are taken at most, each after the one before."""
+_WORST_JOINTS = 5
+"""Joints beyond the limit of which panels are struck off to find one."""
+_LESS = 0.9
+"""Share of the limit up to which steps count as even: the programs add their own."""
 _SURE = 1e-3  # m: how much more room is advised than nodes between which a surface is bent need
 _THINNER = 1e-3
 """Steps [m] in which a thickness is sought that would fit."""
@@ -50,7 +57,7 @@ _THINNER = 1e-3
 class Rules:
     """What panels are held to: wires, shortest first, sizes (3,) of ``blocks`` and the foam that a block has
     more than its panel at each side, ``sides`` and ``faces`` (above and below); ``tolerance`` of a face;
-    weight of the ends of sections. All in m."""
+    weight of the ends of sections; the step that a ``joint`` of two panels should keep. All in m."""
 
     wires: tuple[CutWire, ...]
     blocks: tuple[FloatArray, ...]
@@ -58,33 +65,7 @@ class Rules:
     faces: float
     tolerance: float
     end_weight: float
-
-
-@dataclasses.dataclass(frozen=True)
-class ElasticPanel:
-    """A panel over the cells ``rectangle`` (x0, x1, y0, y1), its wire along the element's x (``along`` 0) or
-    y (1).
-
-    ``front``, ``back``: faces as the wire leaves them, in the frame of the block of ``size`` (3,), whose
-    ``pose`` (4, 4) is in the element frame. ``misfit``: how far they are off the surface at most; ``held``:
-    whether the wire is held safely there. ``flat`` (R, 2): where the vertices on its sides are in the
-    element's plane; ``off`` (2, R): how far front and back are off the surface there. ``refused``: why the
-    check of its problem refuses it; none where that was not asked. In m.
-    """
-
-    rectangle: tuple[int, int, int, int]
-    along: int
-    wire: int
-    block: int
-    pose: FloatArray
-    size: FloatArray
-    front: TriangleMesh
-    back: TriangleMesh
-    misfit: float
-    held: bool
-    flat: FloatArray
-    off: FloatArray
-    refused: Issue | None = None
+    joint: float = np.inf
 
 
 Judge = Callable[[ElasticPanel], Issue | None]
@@ -213,50 +194,33 @@ def divide_elastic(made: Search, judge: Judge | None = None, held: bool = False)
     ``element.block`` for places that no panel can cover, each with the nearest remedy.
     """
     held = held or judge is not None
-    found = table(made, held)
-    misfit = found.best(made.rules.tolerance)
-    tries: dict[_Place, Iterator[ElasticPanel]] = {}
-    known: dict[_Place, ElasticPanel | None] = {}
-    passed: set[_Place] = set()
+    fits = _Fits(made, table(made, held), held, judge)
+    misfit = fits.table.best(made.rules.tolerance)
     struck: dict[_Place, float] = {}
-
-    def passes(place: _Place) -> bool:
-        """Whether one of the wires held in a panel's shapes is not refused."""
-        if place not in passed and judge is not None:
-            while (panel := known[place]) is not None and judge(panel) is not None:
-                known[place] = next(tries[place], None)
-        passed.add(place)
-        return known[place] is not None
-
     for _ in range(_MOST_ROUNDS if judge is None else _MOST_JUDGED):
         division = divide(misfit)
         if division is None and not struck and held:
-            found = table(made)
-            every = found.best(made.rules.tolerance)
+            fits.table = table(made)
+            every = fits.table.best(made.rules.tolerance)
             for w, h, x, y in np.argwhere(every < misfit).tolist():
                 struck[w, h, x, y] = float(every[w, h, x, y])
         if division is None and not struck:
-            raise TandemError(_refusals(made, found, misfit))
+            raise TandemError(_refusals(made, fits.table, misfit))
         if division is None:
             least = min((w + 1) * (h + 1) for w, h, _, _ in struck)
             for place in [p for p in struck if (p[0] + 1) * (p[1] + 1) == least]:
-                price, best = struck.pop(place), _first(_tries(made, found, place))
+                price, best = struck.pop(place), _first(_tries(made, fits.table, place))
                 if best is not None:
                     misfit[place] = price
-                    known[place] = best if judge is None else dataclasses.replace(best, refused=judge(best))
-                    passed.add(place)
+                    fits.keep(
+                        place, best if judge is None else dataclasses.replace(best, refused=judge(best))
+                    )
             continue
-        places = [(x1 - x0 - 1, y1 - y0 - 1, x0, y0) for x0, x1, y0, y1 in division.rectangles.tolist()]
-        for place in places:
-            if place not in known and not held:
-                known[place] = _first(_tries(made, found, place))
-            elif place not in known:
-                tries[place] = (panel for panel in _tries(made, found, place) if panel.held)
-                known[place] = next(tries[place], None)
+        places = _places(division)
         # the check takes longest: it comes when all else is well
-        failed = [p for p in places if known[p] is None] or [p for p in places if not passes(p)]
+        failed = [p for p in places if fits.at(p) is None] or [p for p in places if not fits.passes(p)]
         if not failed:
-            return tuple(panel for p in places if (panel := known[p]) is not None)
+            return _evened(fits, misfit, places)
         for place in failed:
             if held:
                 struck[place] = float(misfit[place])
@@ -272,6 +236,107 @@ def divide_elastic(made: Search, judge: Judge | None = None, held: bool = False)
 
 _Place = tuple[int, int, int, int]
 """Where a rectangle is in a table: w - 1, h - 1, x, y."""
+
+
+def _places(division: Division) -> list[_Place]:
+    return [(x1 - x0 - 1, y1 - y0 - 1, x0, y0) for x0, x1, y0, y1 in division.rectangles.tolist()]
+
+
+class _Fits:
+    """Panels by their places in a table, each fitted once: by the first wire and direction in which it is
+    within tolerance, and held where that is asked; None where there is none."""
+
+    def __init__(self, made: Search, found: Table, held: bool, judge: Judge | None) -> None:
+        self.made, self.table, self.held, self.judge = made, found, held, judge
+        self._known: dict[_Place, ElasticPanel | None] = {}
+        self._tries: dict[_Place, Iterator[ElasticPanel]] = {}
+        self._passed: set[_Place] = set()
+
+    def at(self, place: _Place) -> ElasticPanel | None:
+        """The panel at a place."""
+        if place not in self._known:
+            tries = _tries(self.made, self.table, place)
+            if self.held:
+                self._tries[place] = (panel for panel in tries if panel.held)
+                self._known[place] = next(self._tries[place], None)
+            else:
+                self._known[place] = _first(tries)
+        return self._known[place]
+
+    def keep(self, place: _Place, panel: ElasticPanel) -> None:
+        """Take a panel as it is."""
+        self._known[place] = panel
+        self._passed.add(place)
+
+    def passes(self, place: _Place) -> bool:
+        """Whether one of the wires held in a panel's shapes is not refused: from then on, the panel is cut by
+        that."""
+        if place not in self._passed and self.judge is not None:
+            while (panel := self._known[place]) is not None and self.judge(panel) is not None:
+                self._known[place] = next(self._tries[place], None)
+        self._passed.add(place)
+        return self._known[place] is not None
+
+    def panels(self, places: Sequence[_Place]) -> tuple[ElasticPanel, ...]:
+        """Those at all places that have one."""
+        return tuple(panel for place in places if (panel := self.at(place)) is not None)
+
+    def division(self, price: FloatArray, most: int) -> list[_Place] | None:
+        """The best division of which every panel is within tolerance; None where it takes more than
+        ``most``."""
+        price = price.copy()
+        for place in [place for place, panel in self._known.items() if panel is None]:
+            price[place] = np.inf
+        while True:
+            found = divide(price)
+            if found is None or len(found.rectangles) > most:
+                return None
+            places = _places(found)
+            failed = [place for place in places if self.at(place) is None]
+            if not failed:
+                return places
+            for place in failed:
+                price[place] = np.inf
+
+
+def _evened(fits: _Fits, price: FloatArray, places: list[_Place]) -> tuple[ElasticPanel, ...]:
+    """The panels of a division at ``price``, or of another one with as few and evener joints.
+
+    How far a panel is off the surface along a joint is known when it is fitted, and the step is between two
+    of them: no price of a panel alone says it. So panels at the worst joints are struck off, one at a time,
+    and the best of the divisions without is gone on from, until none has fewer joints beyond the limit."""
+    limit = fits.made.rules.joint
+    panels = fits.panels(places)
+    least = _unevenness(panels, limit)
+    for _ in range(_MOST_EVENED):
+        over = sorted((one for one in joints(panels) if one.step > limit), key=lambda one: -one.step)
+        tried: list[tuple[tuple[int, int], int, FloatArray, list[_Place]]] = []
+        for k in dict.fromkeys(k for joint in over[:_WORST_JOINTS] for k in joint.panels):
+            without = price.copy()
+            without[places[k]] = np.inf
+            anew = fits.division(without, len(places))
+            if anew is not None:
+                tried.append((_unevenness(fits.panels(anew), limit), len(tried), without, anew))
+        for uneven, _, without, anew in sorted(tried, key=lambda one: one[:2]):
+            if uneven[0] >= least[0]:
+                return panels
+            if all(fits.passes(place) for place in anew) and _unevenness(fits.panels(anew), limit) <= uneven:
+                least, price, places, panels = uneven, without, anew, fits.panels(anew)
+                break
+        else:
+            return panels
+    return panels
+
+
+def _unevenness(panels: Sequence[ElasticPanel], limit: float) -> tuple[int, int]:
+    """How many joints are beyond the limit, and how far joints are above what counts as even, in steps of
+    misfits, added up; nothing without a limit."""
+    if not np.isfinite(limit):
+        return 0, 0
+    steps = [joint.step for joint in joints(panels)]
+    return sum(step > limit for step in steps), sum(
+        max(0, round((step - _LESS * limit) / MISFIT_STEP)) for step in steps
+    )
 
 
 def _tries(made: Search, found: Table, place: _Place) -> Iterator[ElasticPanel]:
@@ -478,48 +543,3 @@ def _too_large(made: Search, cells: BoolArray) -> Issue:
     hint = f"{fits}a block of {text} mm would, or give more cells than {made.cells[0]} x {made.cells[1]}"
     largest = max(rules.blocks, key=lambda block: float(np.prod(block)))
     return _limit("element.block", what, "blocks", float(size[2]), float(largest[2]), hint, int(cells.sum()))
-
-
-@dataclasses.dataclass(frozen=True)
-class Joint:
-    """Where two panels meet: their numbers, ``length`` [m] along the joint, ``steps`` (2, R) [m] of the
-    fronts and of the backs across the surface at its vertices; ``wire_ends``: whether wires of both end
-    there."""
-
-    panels: tuple[int, int]
-    length: float
-    steps: FloatArray
-    wire_ends: bool
-
-
-def joints(panels: tuple[ElasticPanel, ...]) -> tuple[Joint, ...]:
-    """All joints along which neighbours have more than a corner in common."""
-    rims = [
-        {(round(x * 1e7), round(y * 1e7)): k for k, (x, y) in enumerate(panel.flat.tolist())}
-        for panel in panels
-    ]
-    found = []
-    for a, one in enumerate(panels):
-        for b in range(a + 1, len(panels)):
-            other = panels[b]
-            axis = _side(one.rectangle, other.rectangle)
-            if axis is None:
-                continue
-            shared = sorted(rims[a].keys() & rims[b].keys())
-            rows = np.array([[rims[a][key], rims[b][key]] for key in shared])
-            place = one.flat[rows[:, 0]]
-            steps = np.abs(one.off[:, rows[:, 0]] - other.off[:, rows[:, 1]])
-            ends = one.along == other.along == axis
-            found.append(Joint((a, b), float(np.ptp(place[:, 1 - axis])), steps, ends))
-    return tuple(found)
-
-
-def _side(one: tuple[int, ...], other: tuple[int, ...]) -> int | None:
-    """The axis across the line on which two rectangles meet; None where they share no more than a corner."""
-    for axis in range(2):
-        across, along = slice(2 * axis, 2 * axis + 2), slice(2 - 2 * axis, 4 - 2 * axis)
-        (a0, a1), (b0, b1) = one[across], other[across]
-        (c0, c1), (d0, d1) = one[along], other[along]
-        if (a1 == b0 or b1 == a0) and min(c1, d1) > max(c0, d0):
-            return axis
-    return None

@@ -36,7 +36,7 @@ from planner.reading.cell import BowFile, RackFile
 from planner.reading.materials import WireFile, WiresFile, wires_at_hand
 from planner.reading.part_ruled import RuledFile, build_ruled
 from planner.reading.part_surfaces import FrontFile, check_size, surface, surface_patch
-from planner.reading.problem import resolved, validate
+from planner.reading.problem import SettingsFile, resolved, validate
 from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Vector
 
 LONGEST: Final = 200.0
@@ -65,6 +65,8 @@ CLOSED: Final = 1e-3
 ElementName = Annotated[
     str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,17}$", description="letter first, at most 18 characters")
 ]
+LEAST_TOLERANCE_MM: Final = 0.05
+"""Panels for the bent wire are asked to be no nearer to the surface."""
 
 
 class PlaneFile(Strict):
@@ -95,7 +97,9 @@ class SurfaceFile(FrontFile):
 class ElasticFile(Strict):
     """Panels whose faces a bent wire cuts."""
 
-    tolerance_mm: Annotated[float, Field(ge=0.05, le=50, description="of panels to the surface")]
+    tolerance_mm: Annotated[
+        float, Field(ge=LEAST_TOLERANCE_MM, le=50, description="of panels to the surface")
+    ]
     joint_mm: Annotated[
         float, Field(ge=0.01, le=50, description="step between neighbours at 95 % of a joint's points")
     ] = 0.2
@@ -291,6 +295,13 @@ class CutBlocksFile(Strict):
     stand_mm: Annotated[
         float, Field(ge=50, le=2000, description="height of what pieces lie or stand on, at most")
     ] = 700.0
+    together: Annotated[
+        bool,
+        Field(
+            description="panels of a block are cut out of it together where its bow can: all faces on one "
+            "way, then round each of them"
+        ),
+    ] = False
 
 
 class ElementFile(Strict):
@@ -384,9 +395,12 @@ class Template:
 
 @dataclasses.dataclass(frozen=True)
 class SawTemplate(Template):
-    """A template for raw blocks, with the bow that it mounts."""
+    """A template for raw blocks, with the bow that it mounts, ``margin`` [m] of foam to the wire's ends and
+    to the beam, and ``clearance`` [m] of its settings."""
 
     bow: Bow
+    margin: float
+    clearance: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -554,6 +568,7 @@ def _rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFile, ...])
         spec.faces,
         elastic.tolerance_mm * MM,
         elastic.end_weight,
+        elastic.joint_mm * MM,
     )
 
 
@@ -586,7 +601,13 @@ def _saw(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawTemplate:
         if bow is not None:
             least = min(Straight.model_fields["kerf_range_mm"].default[0], 0.5 * kerf_mm)
             slot = {"kerf_range_mm": [least, kerf_mm]} if "power_w" in one else {"kerf_mm": kerf_mm}
-            return SawTemplate(WhenFile(), name, {**data, "operations": [{**one, **slot}]}, bow)
+            margin = float(one.get("margin_mm", Straight.model_fields["margin_mm"].default)) * MM
+            settings = data.get("settings")
+            stated = settings.get("clearance_mm") if isinstance(settings, dict) else None
+            usual = SettingsFile.model_fields["clearance_mm"].default
+            clear = float(stated if isinstance(stated, int | float) else usual) * MM
+            whole = {**data, "operations": [{**one, **slot}]}
+            return SawTemplate(WhenFile(), name, whole, bow, margin, clear)
         wrong, hint = "mounts no bow on the first of its arms", "give that arm a tool of the kind bow"
     raise TandemError(Issue("element.jobs", f"{name} {wrong}", file=file, field="cut_blocks", hint=hint))
 

@@ -427,12 +427,31 @@ def _blocks(found: ElementRun, drawing: str | None) -> tuple[Block, ...]:
         "boxes %",
     )
     shown: list[Block] = [Wide(table(heads, rows))]
+    shown += _by_themselves(nest["blocks"])
     if found.saw:
         shown.append(Folded(_saw_words(found), Wide(_saw_list(found))))
     if drawing is not None:
         address = "data:image/svg+xml;base64," + base64.b64encode(drawing.encode()).decode()
         shown.append(Folded("How each block is cut", Photo(address, "cut drawings of all blocks")))
     return tuple(shown)
+
+
+def _by_themselves(blocks: Sequence[Mapping[str, Any]]) -> Iterator[Block]:
+    """Which panels are cut together, and why the others are not."""
+    whole = sum(len(job.get("panels", ())) for block in blocks for job in block.get("jobs", ()))
+    why: dict[str, list[str]] = {}
+    for one in (panel for block in blocks for panel in block["panels"] if "alone" in panel):
+        why.setdefault(str(one["alone"]), []).append(str(one["id"]))
+    if not whole and not why:
+        return
+    rows = sum(bool(job.get("panels")) for block in blocks for job in block.get("jobs", ()))
+    yield Paragraph(
+        f"{whole} panels are cut together with others, in {rows} jobs: faces on one way, then the operator "
+        "stands the block on edge, and the wire goes round each panel, the uppermost first."
+    )
+    if why:
+        found = tuple((" ".join(names), reason) for reason, names in why.items())
+        yield Wide(table(("cut by themselves", "why"), found))
 
 
 def _saw_words(found: ElementRun) -> str:

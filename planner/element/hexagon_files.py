@@ -27,6 +27,7 @@ from planner.element.jobs import (
 from planner.element.nest import PanelBlock
 from planner.element.output import finished, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
+from planner.element.rows import Shape
 from planner.geometry.arrays import FloatArray, transform, unit
 from planner.geometry.assembly import CLEAR, NONE, put_up
 from planner.geometry.units import DEG, MM
@@ -109,7 +110,9 @@ def assembly(panels: tuple[HexagonPanel, ...], square: float | None = None) -> A
 
 def _panel_block(element: HexagonElement, panel: HexagonPanel) -> PanelBlock:
     length, width, high = (v * MM for v in block_mm(panel))
-    return PanelBlock(panel.name, length, width, high, panel.volume, element.file.blocks[panel.block].foam)
+    foam = element.file.blocks[panel.block].foam
+    shape = Shape(np.stack([panel.bottom, panel.top]))
+    return PanelBlock(panel.name, length, width, high, panel.volume, foam, shape)
 
 
 def _part(panel: HexagonPanel) -> dict[str, Any]:

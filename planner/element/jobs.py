@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from planner.element.elastic import ElasticPanel
+from planner.element.elastic_panel import ElasticPanel
 from planner.element.element_file import ElasticElement, Element, Template
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh

@@ -33,7 +33,7 @@ FILE: Final = "made_from.npz"
 """What the folder of an element was made from."""
 SAME: Final = 1e-8
 """A surface whose points have moved by no more than this [m] is the same."""
-PROBLEMS: Final = ("panels", "blocks")
+PROBLEMS: Final = ("panels", "blocks", "again")
 """Folders of problems and their meshes in that of an element."""
 
 

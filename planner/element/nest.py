@@ -14,22 +14,22 @@ from typing import Final, Literal
 
 import numpy as np
 
+from planner.element.rows import SAME, Limits, Piece, Row, Shape, rows_of
 from planner.element.stock_list import LeftOver, text
-from planner.geometry.cut_tree import Bow, Cut, CutTree, needs, unreached
-from planner.geometry.nesting import Block, Box, Rules, fits, least_blocks, nest
+from planner.geometry.cut_tree import Bow, Cut, CutTree, Part, needs, unreached
+from planner.geometry.line_nest import in_lines
+from planner.geometry.nesting import Block, Box, Nest, Rules, fits, least_blocks, nest
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
 
-SAME: Final = 5e-5
-"""Thicknesses [m] that differ by no more than this are the same: sizes of blocks are rounded to 0.1 mm."""
 MOST_NAMED: Final = 6
 """Cuts that a message names."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PanelBlock:
-    """The block that a panel is cut from [m], ``length`` along its own x, its foam, and the ``volume`` [m^3]
-    of the panel alone."""
+    """The block that a panel is cut from [m], ``length`` along its own x, its foam, the ``volume`` [m^3] of
+    the panel alone, and its ``shape`` there where a straight wire cuts it."""
 
     name: str
     length: float
@@ -37,6 +37,7 @@ class PanelBlock:
     thickness: float
     volume: float
     foam: str | None = None
+    shape: Shape | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +54,7 @@ class RawBlock:
 class Sawing:
     """How raw blocks are cut: ``kerf`` of every cut, ``oversize`` of each block along x and y, whether blocks
     may be ``turned`` against the grain of the foam, the ``bow``, and the least side of what is ``kept`` [m].
+    ``together``: what rows must keep, where panels are cut out of them together.
     """
 
     kerf: float
@@ -60,6 +62,7 @@ class Sawing:
     turned: bool = True
     bow: Bow | None = None
     kept: float = 0.2
+    together: Limits | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +70,8 @@ class NestedBlock:
     """One raw block, or piece that was left over (``source``, its id), with its size (3,) [m] and its cuts.
 
     ``panels``: the numbers of the panels whose blocks are the boxes 0, 1 ... of ``tree``; ``level``: those
-    that are then cut to their thickness.
+    that are then cut to their thickness. ``rows``: parts of the tree, by their numbers, that panels are cut
+    out of together; ``alone``: why others are not, by the numbers of panels.
     """
 
     name: str
@@ -77,6 +81,15 @@ class NestedBlock:
     tree: CutTree
     panels: tuple[int, ...]
     level: tuple[int, ...]
+    rows: Mapping[int, Row] = dataclasses.field(default_factory=dict)
+    alone: Mapping[int, str] = dataclasses.field(default_factory=dict)
+
+    def boxes(self) -> tuple[Part, ...]:
+        """Boxes in the order in which they are free, those of rows too."""
+        out: list[Part] = []
+        for i, part in enumerate(self.tree.parts):
+            out += self.rows[i].pieces if i in self.rows else [part] if part.box is not None else []
+        return tuple(out)
 
     def panel(self, box: int | None) -> int:
         """The panel's number for a box of the tree."""
@@ -119,6 +132,8 @@ def nested(
         rooms = [Block(one.length, one.width, one.thickness, 1, free=True) for one in left]
         rooms += [Block(one.length, one.width, one.thickness) for one in kinds]
         found = nest(boxes, rooms, Rules(sawing.kerf, sawing.turned, sawing.bow))
+        if sawing.together is not None:
+            found = _in_lines(found, boxes, rooms, [panels[i] for i in mine], sawing)
         largest = max(rooms[len(left) :], key=lambda room: room.length * room.width)
         bound += least_blocks(boxes, largest, sawing.kerf)
         least.add(found.least)
@@ -126,10 +141,8 @@ def nested(
             source = left[kind].name if kind < len(left) else None
             used |= {source} if source is not None else set()
             room = rooms[kind]
-            here = [mine[part.box or 0] for part in tree.boxes()]
-            level = tuple(i for i in here if panels[i].thickness < room.thickness - SAME)
             size = room.length, room.width, room.thickness
-            blocks.append(NestedBlock("", source, size, foam, tree, tuple(mine), level))
+            blocks.append(_block(source, size, foam, tree, mine, panels, sawing))
     digits = max(2, len(str(len(blocks))))
     letters = _letters({panel.name.upper() for panel in panels}, len(blocks), digits)
     named = tuple(
@@ -149,6 +162,68 @@ def nested(
     if None not in least:
         sure = "bound" if least <= {"bound"} else "two-stage"
     return Nesting(named, bound, sure, tuple(kept))
+
+
+def _block(
+    source: str | None,
+    size: tuple[float, float, float],
+    foam: str | None,
+    tree: CutTree,
+    mine: Sequence[int],
+    panels: Sequence[PanelBlock],
+    sawing: Sawing,
+) -> NestedBlock:
+    """A block without a name, its rows left whole; ``mine``: numbers of the panels that are its boxes."""
+    rows: dict[int, Row] = {}
+    alone: dict[int, str] = {}
+    if sawing.together is not None:
+        pieces = [Piece(panels[i].name, panels[i].thickness, panels[i].shape) for i in mine]
+        rows, alone = rows_of(tree, pieces, size[2], sawing.together)
+        tree = tree.left_whole(rows)
+        whole = (i for i, part in enumerate(tree.parts) if part.whole)
+        rows = dict(zip(whole, (rows[i] for i in sorted(rows)), strict=True))
+    level = [mine[part.box or 0] for part in tree.boxes()]
+    level = [i for i in level if panels[i].thickness < size[2] - SAME]
+    why = {mine[box]: what for box, what in alone.items()}
+    return NestedBlock("", source, size, foam, tree, tuple(mine), tuple(level), rows, why)
+
+
+def _in_lines(
+    found: Nest,
+    boxes: Sequence[Box],
+    rooms: Sequence[Block],
+    panels: Sequence[PanelBlock],
+    sawing: Sawing,
+) -> Nest:
+    """The nest with panels in lines where that takes no further block and leaves fewer panels alone: all of
+    them where faces are ruled, or those of each block by themselves."""
+    pieces = [Piece(panel.name, panel.thickness, panel.shape) for panel in panels]
+    ruled = all(panel.shape is not None and panel.shape.faces is not None for panel in panels)
+
+    def lines(some: Sequence[int], kind: int) -> Iterator[list[CutTree]]:
+        room, sizes = rooms[kind], [(boxes[i].length, boxes[i].width) for i in some]
+        swapped = [not ruled and sawing.turned and long < wide for long, wide in sizes]
+        sizes = [size[::-1] if swap else size for size, swap in zip(sizes, swapped, strict=True)]
+        for trees in in_lines(sizes, (room.length, room.width), sawing.kerf, sawing.turned):
+            yield [tree.with_boxes(some, swapped) for tree in trees]
+
+    def alone(trees: Sequence[CutTree], kind: int) -> int:
+        limits, thick = sawing.together, rooms[kind].thickness
+        return sum(len(rows_of(tree, pieces, thick, limits)[1]) for tree in trees) if limits else 0
+
+    if ruled and len(rooms) == 1:
+        known = [tree for _, tree in found.blocks]
+        most = [trees for trees in lines(range(len(boxes)), 0) if len(trees) <= len(known)]
+        best = min([known, *most], key=lambda trees: (alone(trees, 0), len(trees)))
+        bound = len(best) == least_blocks(boxes, rooms[0], sawing.kerf)
+        return Nest(tuple((0, tree) for tree in best), "bound" if bound else found.least)
+    blocks = []
+    for kind, tree in found.blocks:
+        some = [part.box or 0 for part in tree.boxes()]
+        others = [trees for trees in lines(some, kind) if len(trees) == 1]
+        counts = [alone(trees, kind) for trees in ([tree], *others)]
+        blocks.append((kind, [tree, *(one for (one,) in others)][counts.index(min(counts))]))
+    return Nest(tuple(blocks), found.least)
 
 
 def _letters(panels: set[str], count: int, digits: int) -> str:
@@ -235,7 +310,7 @@ def level_cuts(
     """Cuts of a block's panels to their thickness: their numbers behind the through cuts, the panel, and the
     cut as seen from the side across which it goes: the wire spans the shorter side."""
     number = len(block.tree.cuts())
-    for part in block.tree.boxes():
+    for part in block.boxes():
         i = block.panel(part.box)
         if i in block.level:
             number += 1
@@ -285,7 +360,7 @@ def nearest(ways: Sequence[tuple[float, float]], bow: Bow) -> tuple[float, float
 
 def yields(block: NestedBlock, panels: Sequence[PanelBlock]) -> tuple[float, float]:
     """Shares of a block that are its panels, and their blocks."""
-    mine = [panels[block.panel(part.box)] for part in block.tree.boxes()]
+    mine = [panels[block.panel(part.box)] for part in block.boxes()]
     whole = float(np.prod(block.size))
     boxes = sum(one.length * one.width * one.thickness for one in mine)
     return sum(one.volume for one in mine) / whole, boxes / whole
@@ -299,29 +374,46 @@ def total_yields(nesting: Nesting, panels: Sequence[PanelBlock]) -> tuple[float,
 
 
 def table(
-    nesting: Nesting, panels: Sequence[PanelBlock], jobs: Mapping[str, Sequence[str]] | None = None
+    nesting: Nesting,
+    panels: Sequence[PanelBlock],
+    jobs: Mapping[str, Sequence[str]] | None = None,
+    together: bool = False,
 ) -> str:
     """`blocks.csv`: a row for each block, panels in the order in which they come free, and one for all;
-    ``jobs``: names of the problems that cut each block, by its id."""
+    ``jobs``: names of the problems that cut each block, by its id; ``together``: with panels that are cut
+    together, and why the others are not."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     columns = ("block", "left_over", "length_mm", "width_mm", "thickness_mm", "foam", "cuts", "level_cuts")
-    writer.writerow([*columns, "panels", "yield_volume", "yield_boxes", "least_blocks", "jobs"])
+    last = ("together", "by_themselves") if together else ()
+    writer.writerow([*columns, "panels", "yield_volume", "yield_boxes", "least_blocks", "jobs", *last])
     for block in nesting.blocks:
-        names = " ".join(panels[block.panel(part.box)].name for part in block.tree.boxes())
+        names = " ".join(panels[block.panel(part.box)].name for part in block.boxes())
         size = [f"{round(v / MM, 3):g}" for v in block.size]
         share = [f"{v:.4f}" for v in yields(block, panels)]
         cuts = [len(block.tree.cuts()), len(block.level)]
         own = " ".join((jobs or {}).get(block.name, ()))
         row = [block.name, block.source or "", *size, block.foam or "", *cuts, names, *share, "", own]
-        writer.writerow(row)
+        whole = " + ".join(" ".join(one.outlines) for one in block.rows.values())
+        writer.writerow([*row, whole, _alone(block, panels)] if together else row)
     share = [f"{v:.4f}" for v in total_yields(nesting, panels)]
     cuts = [
         sum(len(block.tree.cuts()) for block in nesting.blocks),
         sum(len(b.level) for b in nesting.blocks),
     ]
-    writer.writerow(["all", "", "", "", "", "", *cuts, "", *share, nesting.bound, ""])
+    count = sum(len(one.outlines) for block in nesting.blocks for one in block.rows.values())
+    more = [count, sum(len(block.alone) for block in nesting.blocks)] if together else []
+    writer.writerow(["all", "", "", "", "", "", *cuts, "", *share, nesting.bound, "", *more])
     return out.getvalue()
+
+
+def _alone(block: NestedBlock, panels: Sequence[PanelBlock]) -> str:
+    """Which panels of a block are cut by themselves, and why."""
+    names: dict[str, list[str]] = {}
+    for i in (block.panel(part.box) for part in block.boxes()):
+        if i in block.alone:
+            names.setdefault(block.alone[i], []).append(panels[i].name)
+    return "; ".join(f"{' '.join(own)}: {why}" for why, own in names.items())
 
 
 def stock_file(nesting: Nesting) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 from planner.element.block_drawing import drawing
 from planner.element.element_file import Element
 from planner.element.nest import (
+    NestedBlock,
     Nesting,
     PanelBlock,
     RawBlock,
@@ -19,10 +20,15 @@ from planner.element.nest import (
     total_yields,
     yields,
 )
+from planner.element.row_jobs import row_files
+from planner.element.rows import ROOM, Limits
 from planner.element.saw_jobs import saw_files
-from planner.geometry.cut_tree import Bow
+from planner.geometry.cut_tree import Bow, Part
 from planner.geometry.units import MM
 from planner.issues import Issue
+
+AGAIN: Final = "again"
+"""Folder of the problems of panels that rows cut, for those that break."""
 
 
 def nested_folder(
@@ -39,17 +45,28 @@ def nested_folder(
         raw.append(RawBlock(length, width, thickness, one.foam))
     bow = None if file.bow is None else Bow(file.bow.span_mm * MM, file.bow.throat_mm * MM)
     kerf = file.kerf_mm * MM
-    sawing = Sawing(kerf, file.oversize_mm * MM, file.grain == "any", bow, file.keep_mm * MM)
+    saw, cut, kept = element.saw, element.file.cut_blocks, file.keep_mm * MM
+    together = (
+        None
+        if saw is None or cut is None or not cut.together
+        else Limits(saw.bow, saw.margin, kept, saw.clearance + kerf + ROOM)
+    )
+    sawing = Sawing(kerf, file.oversize_mm * MM, file.grain == "any", bow, kept, together)
     made = nested(name, panels, raw, element.stock, sawing)
     problems: dict[str, str] = {}
     jobs: dict[str, list[dict[str, Any]]] = {}
     said = told(made, panels, sawing)
-    if element.saw is not None:
-        problems, jobs, of_jobs = saw_files(element, element.saw, made, panels)
+    if saw is not None and cut is not None:
+        problems, jobs, of_jobs = saw_files(element, saw, made, panels)
         said += of_jobs
+        for block in made.blocks:
+            own = jobs[block.name]
+            files, more = row_files(element, saw, block, len(own), cut.stand_mm * MM)
+            problems |= files
+            own += more
     names = {block: [job["id"] for job in own] for block, own in jobs.items()}
     files = {
-        "blocks.csv": table(made, panels, names),
+        "blocks.csv": table(made, panels, names, together is not None),
         "blocks.svg": drawing(name, made, panels, kerf),
         "stock.csv": stock_file(made),
         **problems,
@@ -59,6 +76,17 @@ def nested_folder(
         if block["id"] in jobs:
             block["jobs"] = jobs[block["id"]]
     return files, said, {"blocks": data}
+
+
+def rows_in(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Of each panel that is cut together with others, by its id, the ``job`` that does it and the ``pose``
+    (4, 4) [mm] of its own block in the frame of that job's."""
+    return {
+        name: {"job": job["id"], "pose": pose}
+        for block in data.get("blocks", {}).get("blocks", ())
+        for job in block.get("jobs", ())
+        for name, pose in job.get("panels", {}).items()
+    }
 
 
 def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[str, Any]:
@@ -91,8 +119,9 @@ def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[s
                         "size_mm": [mm(part.length), mm(part.width)],
                         "turned": part.turned,
                         "level_cut": block.panel(part.box) in block.level,
+                        **_why(block, part),
                     }
-                    for part in block.tree.boxes()
+                    for part in block.boxes()
                 ],
                 "cuts": [
                     {
@@ -107,3 +136,9 @@ def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[s
             for block in made.blocks
         ],
     }
+
+
+def _why(block: NestedBlock, part: Part) -> dict[str, str]:
+    """Why a panel is cut by itself, where others are cut together."""
+    why = block.alone.get(block.panel(part.box))
+    return {} if why is None else {"alone": why}

@@ -18,11 +18,11 @@ import shapely
 from planner.catalogue.materials import foam
 from planner.element import dowels, kept
 from planner.element.assembly import BESIDE, GIVE, Assembly, Body, rests_on
-from planner.element.elastic import ElasticPanel, Joint, joints
-from planner.element.element_file import ElasticElement, Element
+from planner.element.elastic_panel import JOINT_SHARE, ElasticPanel, Joint, joints
+from planner.element.element_file import LEAST_TOLERANCE_MM, ElasticElement, Element
 from planner.element.jobs import block_mm, block_pose, chosen_templates, cut_minutes, ids, panel_files
 from planner.element.nest import PanelBlock
-from planner.element.nested_output import nested_folder
+from planner.element.nested_output import AGAIN, nested_folder, rows_in
 from planner.element.surface import RIM
 from planner.geometry.arrays import FloatArray, IntArray, transform
 from planner.geometry.assembly import NONE, Slab, bodies_beyond, put_up
@@ -41,6 +41,7 @@ OWNED: Final = (
     "panels",
     "panels.csv",
     "panels.svg",
+    AGAIN,
     "blocks",
     "blocks.csv",
     "blocks.svg",
@@ -49,8 +50,6 @@ OWNED: Final = (
     kept.FILE,
 )
 """What the folder of an element holds; anything else in it is left alone."""
-JOINT_SHARE: Final = 95.0
-"""Percent of a joint's points that must be within the step that is allowed."""
 GRID: Final = 0.0617
 """Largest distance [m] of points by which the bodies of panels are drawn and put up; an odd number on
 purpose: no size is a multiple of it, so these points move no more than the surface does."""
@@ -97,6 +96,12 @@ def finished(
     nest, dowels and issues; and all that is to be said. Raises ``TandemError``: ``element.raw_block``."""
     of_blocks, said, blocks = nested_folder(element, panels)
     files, more = {**files}, {}
+    cut_in = rows_in(blocks)
+    for panel in data["panels"]:
+        name = str(panel["id"])
+        if name in cut_in:
+            files[f"{AGAIN}/{name}.yaml"] = files.pop(f"panels/{name}.yaml")
+            panel |= {"cut_in": cut_in[name], "cut_min": {}}
     if element.file.dowels is not None:
         held = dowels.placed(element.file.dowels, up)
         poses = {panel["id"]: block_pose(panel) for panel in data["panels"]}
@@ -262,7 +267,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 def _step(joint: Joint) -> float:
     """The step [mm] that most of a joint's points keep."""
-    return float(np.percentile(joint.steps, JOINT_SHARE)) / MM
+    return joint.step / MM
 
 
 def _data(
@@ -343,7 +348,9 @@ def _told(element: ElasticElement, names: tuple[str, ...], met: tuple[Joint, ...
             or "none"
         )
     )
-    hint = f"allow joint_mm: {np.ceil(_step(worst) * 100.0) / 100.0:.2f}, or ask for a smaller tolerance_mm"
+    hint = f"allow joint_mm: {np.ceil(_step(worst) * 100.0) / 100.0:.2f}"
+    if 0.5 * limit >= LEAST_TOLERANCE_MM:  # a step is no larger than both panels are off the surface
+        hint += f", or ask for tolerance_mm: {0.5 * limit:g}, which takes more panels and may take more cells"
     return (
         Issue(
             "element.joint",

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.element.jobs import block_pose
-from planner.geometry.arrays import FloatArray, IntArray, dots, transform
+from planner.geometry.arrays import FloatArray, IntArray, dots, inverse, transform
 from planner.geometry.mesh import vertex_normals
 from planner.geometry.mesh_files import read_mesh
 from planner.geometry.rulings import boundaries
@@ -84,6 +84,22 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
         rim = np.unique(np.concatenate(boundaries(written)))
         faces.append(CutFace(transform(pose, written.vertices), transform(pose, moved), normals, rim))
     return tuple(faces)
+
+
+def job_of(panel: Mapping[str, Any]) -> str:
+    """The job that cuts a panel: its own, or one that cuts several."""
+    return str(panel.get("cut_in", {}).get("job", panel["id"]))
+
+
+def panel_objects(run: Path, panel: Mapping[str, Any]) -> tuple[Path, dict[str, FloatArray]]:
+    """The simulated part that a panel is in, and vertices (V, 3) [m] of each of its objects in the frame of
+    the panel's block."""
+    path = run / job_of(panel) / "simulated_part.obj"
+    found = part_objects(path)
+    if "cut_in" not in panel:
+        return path, found
+    to_block = inverse(block_pose({"block_pose": panel["cut_in"]["pose"]}))
+    return path, {name: transform(to_block, points) for name, points in found.items()}
 
 
 def other_panel(path: Path, name: str, what: str) -> TandemError:

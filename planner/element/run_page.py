@@ -59,15 +59,16 @@ def _all_steps(found: ElementRun) -> FloatArray:
 
 def hours(found: ElementRun) -> tuple[Facts | Paragraph, ...]:
     """Before foam is ordered: what the robots are busy with all panels."""
-    proven = sum(panel.proven for panel in found.panels)
+    own = [panel for panel in found.panels if panel.own_job]
+    proven = sum(panel.proven for panel in own)
     if not found.all_seconds():
         return (Paragraph("No panel is proven, so there are no robot hours to tell."),)
     items: list[tuple[Phrase, Phrase]] = []
     for arm, seconds in found.arm_seconds().items():
         said = f"{seconds / HOUR:.2f} h of motion for {proven} proven panels"
-        if proven < len(found.panels):
-            share = seconds * len(found.panels) / proven / HOUR
-            said += f"; about {share:.1f} h for all {len(found.panels)} if the others take as long"
+        if proven < len(own):
+            share = seconds * len(own) / proven / HOUR
+            said += f"; about {share:.1f} h for all {len(own)} if the others take as long"
         items.append((f"arm {arm}", said))
     cut = sum(one.proven for one in found.saw)
     for arm, seconds in found.saw_seconds().items():

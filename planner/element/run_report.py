@@ -19,7 +19,7 @@ import numpy as np
 
 from planner import plans
 from planner.element.output import table
-from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint
+from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint, job_of
 from planner.element.side_joints import CutSide, cut_sides, side_joint
 from planner.element.wall_joints import cut_surfaces, wall_joint
 from planner.files import is_file
@@ -62,6 +62,11 @@ class PanelRun:
     def proven(self) -> bool:
         """Whether its programs are proven."""
         return self.state == PROVEN
+
+    @property
+    def own_job(self) -> bool:
+        """Whether it has a job of its own, rather than being cut together with others."""
+        return "cut_in" not in self.panel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -218,7 +223,7 @@ def read_run(out: Path, run: Path) -> ElementRun:
     with (run / "summary.csv").open(newline="", encoding="utf-8") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     thickness = float(data.get("thickness_mm", 0.0)) * MM
-    panels = tuple(_panel(out, run, panel, rows.get(str(panel["id"])), thickness) for panel in data["panels"])
+    panels = tuple(_panel(out, run, panel, rows.get(job_of(panel)), thickness) for panel in data["panels"])
     known = {panel.name: panel for panel in panels}
     limit = float(data.get("joint_mm", MOST_AT_95 / MM)) * MM
     joints = []
@@ -284,7 +289,7 @@ def _panel(
     code = next(iter(row["issues"].split()), "")
     if row["state"] != PROVEN:
         return PanelRun(panel, row["state"], code, row["message"])
-    seconds = _motion(run / str(panel["id"]))
+    seconds = {} if "cut_in" in panel else _motion(run / job_of(panel))  # of rows with those of blocks
     if "front_mm" in panel:
         sides = cut_sides(out, run, panel, thickness)
         return PanelRun(panel, PROVEN, code, row["message"], seconds, sides, sides)

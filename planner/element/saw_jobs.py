@@ -19,7 +19,6 @@ from planner.element.jobs import cut_minutes, filled
 from planner.element.nest import MOST_NAMED, NestedBlock, Nesting, PanelBlock, level_cuts, nearest
 from planner.geometry.cut_tree import Bow, Part, Stage
 from planner.geometry.units import MM
-from planner.hotwire.operation import Straight
 from planner.issues import Issue, Severity
 from planner.reading import strict_yaml
 
@@ -59,6 +58,20 @@ class SawJob:
             return max(self.size[:2])
         return self.size[1 - self.axis] if self.up else self.thickness
 
+    @property
+    def roll_pitch(self) -> list[float]:
+        """How the part is turned as it stands [deg], as a problem file has it."""
+        turn = 90.0 * self.up
+        return [turn, 0.0] if self.axis == 1 else [0.0, -turn]
+
+    @property
+    def said(self) -> str:
+        """Which part of the block it is and how it lies, for the operator."""
+        size = " x ".join(f"{millimetres(v):g}" for v in self.size)
+        side = f"on edge, its {'+' if self.up > 0 else '-'}{_AXES[self.axis]} side up" if self.up else "flat"
+        corner = f"({millimetres(self.part.x):g}, {millimetres(self.part.y):g})"
+        return f"the part of {size} mm at {corner}, {side}"
+
 
 def saw_jobs(
     block: NestedBlock, panels: Sequence[PanelBlock], kerf: float, bow: Bow, margin: float
@@ -81,14 +94,19 @@ def saw_jobs(
         low = (stage.part.x, stage.part.y)[axis]
         places = tuple(cut.place - low for _, cut in cuts)
         jobs.append((stage.part, axis, tuple(number for number, _ in cuts), places, up))
-    boxes = {block.panel(part.box): part for part in block.tree.boxes()}
+    boxes = {block.panel(part.box): part for part in block.boxes()}
     for number, i, _ in level_cuts(block, panels, kerf):
         jobs.append((boxes[i], 2, (number,), (panels[i].thickness,), 0))
-    names = [block.name, *(f"{block.name}-{n}" for n in range(2, len(jobs) + 1))]
+    names = [job_name(block, n) for n in range(1, len(jobs) + 1)]
     return tuple(
         SawJob(name, part, thick, axis, cuts, places, up)
         for name, (part, axis, cuts, places, up) in zip(names, jobs, strict=True)
     )
+
+
+def job_name(block: NestedBlock, number: int) -> str:
+    """The id of a block's job, counted from 1."""
+    return block.name if number == 1 else f"{block.name}-{number}"
 
 
 def _above(stage: Stage, kerf: float) -> tuple[float, int]:
@@ -110,17 +128,16 @@ def saw_files(
     if raw is None or cut is None:
         return {}, {}, ()
     kerf = raw.kerf_mm * MM
-    usual = Straight.model_fields["margin_mm"].default
-    margin = float(template.data["operations"][0].get("margin_mm", usual)) * MM
+    margin = template.margin
     files: dict[str, str] = {}
     data: dict[str, list[dict[str, Any]]] = {}
     found: list[tuple[str, float, float]] = []
     for block in made.blocks:
         data[block.name] = []
         for job in saw_jobs(block, panels, kerf, bow, margin):
-            name = _name(spec.name, job.name)
+            name = problem_name(spec.name, job.name)
             problem = _problem(template, name, job, block, kerf, cut.stand_mm * MM)
-            head = f"# Block {block.name} of {spec.name}: {_said(job)}. Written by tandem element.\n"
+            head = f"# Block {block.name} of {spec.name}: {job.said}. Written by tandem element.\n"
             files[f"blocks/{job.name}.yaml"] = head + strict_yaml.dump(problem)
             data[block.name].append(_data(job, template))
             ways = _needs(job, kerf, margin)
@@ -157,19 +174,14 @@ def _told(found: list[tuple[str, float, float]], template: SawTemplate) -> tuple
     return (Issue("element.cut", what, Severity.WARNING, field="cut_blocks", hint=hint),)
 
 
-def _name(element: str, job: str) -> str:
+def problem_name(element: str, job: str) -> str:
+    """The name of the problem of a job."""
     return f"{element[: _LONGEST - 1 - len(job)]}_{job.replace('-', '_')}"
 
 
-def _mm(value: float) -> float:
+def millimetres(value: float) -> float:
+    """A length [m] as files have it."""
     return round(value / MM, 3) + 0.0
-
-
-def _said(job: SawJob) -> str:
-    """Which part of the block it is and how it lies, for the operator."""
-    size = " x ".join(f"{_mm(v):g}" for v in job.size)
-    side = f"on edge, its {'+' if job.up > 0 else '-'}{_AXES[job.axis]} side up" if job.up else "flat"
-    return f"the part of {size} mm at ({_mm(job.part.x):g}, {_mm(job.part.y):g}), {side}"
 
 
 def _data(job: SawJob, template: Template) -> dict[str, Any]:
@@ -178,9 +190,9 @@ def _data(job: SawJob, template: Template) -> dict[str, Any]:
 
     return {
         "id": job.name,
-        "said": f"cut{'s' * (len(job.cuts) > 1)} {', '.join(str(n) for n in job.cuts)}: {_said(job)}",
-        "corner_mm": [_mm(job.part.x), _mm(job.part.y)],
-        "size_mm": [_mm(v) for v in job.size],
+        "said": f"cut{'s' * (len(job.cuts) > 1)} {', '.join(str(n) for n in job.cuts)}: {job.said}",
+        "corner_mm": [millimetres(job.part.x), millimetres(job.part.y)],
+        "size_mm": [millimetres(v) for v in job.size],
         "cuts": list(job.cuts),
         "cut_min": cut_minutes(template, way),
     }
@@ -189,27 +201,27 @@ def _data(job: SawJob, template: Template) -> dict[str, Any]:
 def _problem(
     template: Template, name: str, job: SawJob, block: NestedBlock, kerf: float, stand: float
 ) -> dict[str, Any]:
-    turn = 90.0 * job.up
     stock = {
-        "size_mm": [_mm(v) for v in job.size],
+        "size_mm": [millimetres(v) for v in job.size],
         "place": "auto",
-        "roll_pitch_deg": [turn, 0.0] if job.axis == 1 else [0.0, -turn],
-        "support": [_box(size, middle) for size, middle in _bearers(job, kerf, stand)],
+        "roll_pitch_deg": job.roll_pitch,
+        "support": [box(size, middle) for size, middle in _bearers(job, kerf, stand)],
     }
     planes = [_plane(job, number, place) for number, place in zip(job.cuts, job.places, strict=True)]
     out = filled(template, name, stock, block.foam, {"ruled": planes})
     back = {"leave": "back"} if job.axis < 2 and not job.up else {}
     operation = out["operations"][0]
-    operation["setup"] = {"note": f"Block {block.name}: {_said(job)}.", **(operation.get("setup") or {})}
+    operation["setup"] = {"note": f"Block {block.name}: {job.said}.", **(operation.get("setup") or {})}
     operation["cuts"] = [{"surface": plane["name"], **back} for plane in planes]
     return out
 
 
-def _box(size: Sequence[float], middle: Sequence[float]) -> dict[str, Any]:
+def box(size: Sequence[float], middle: Sequence[float]) -> dict[str, Any]:
+    """A box (3,) about its ``middle`` (3,) [m] as shapes of a problem file are."""
     return {
         "kind": "box",
-        "size_mm": [_mm(v) for v in size],
-        "pose": {"xyz_mm": [_mm(v) for v in middle]},
+        "size_mm": [millimetres(v) for v in size],
+        "pose": {"xyz_mm": [millimetres(v) for v in middle]},
     }
 
 
@@ -258,7 +270,7 @@ def _plane(job: SawJob, number: int, place: float) -> dict[str, Any]:
         for at in (begin, end):
             point = [0.0] * 3
             point[job.axis], point[wire], point[way] = low[job.axis] + place, side, at
-            points.append([_mm(v) for v in point])
+            points.append([millimetres(v) for v in point])
         return {"polyline_mm": points}
 
     return {

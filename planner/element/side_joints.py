@@ -10,6 +10,7 @@ which are those of the blocks, one edge may stand higher than the other along th
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +19,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from planner.element.jobs import block_pose
-from planner.element.run_joints import CutFace, CutJoint, other_panel, part_objects
+from planner.element.run_joints import CutFace, CutJoint, other_panel, panel_objects
 from planner.geometry.arrays import FloatArray, dots, transform, unit
 from planner.geometry.units import MM
 
@@ -28,6 +29,7 @@ FARTHEST: Final = 0.005
 """A simulated part whose corners are farther from those of a panel [m] is not that panel's."""
 BOTH: Final = 5e-4
 """What is nearer to two sides than this [m] belongs to both."""
+_EDGE_STEP: Final = 0.01  # between points of an edge [m]
 _INWARD: Final = 1e-3  # share by which points are drawn in, so that those on an edge lie between others
 
 
@@ -59,8 +61,9 @@ def cut_sides(out: Path, run: Path, panel: Mapping[str, Any], thickness: float) 
     Raises ``TandemError``: ``element.run`` where the plan is of another panel.
     """
     name = str(panel["id"])
-    path = run / name / "simulated_part.obj"
-    found = [rows for word, rows in part_objects(path).items() if word.startswith(f"cut_{SIDES}")]
+    path, objects = panel_objects(run, panel)
+    own_name = name if "cut_in" in panel else SIDES
+    found = [rows for word, rows in objects.items() if re.fullmatch(rf"cut_{own_name}(_\d+)?", word)]
     if not found:
         return ()
     cut = np.concatenate(found)
@@ -69,6 +72,9 @@ def cut_sides(out: Path, run: Path, panel: Mapping[str, Any], thickness: float) 
     corners = np.concatenate([back, front])
     far = float(np.linalg.norm(corners[:, None] - cut, axis=2).min(axis=1).max())
     frames = [_Frame.of(back, front, i) for i in range(len(back))]
+    if float(cut[:, 2].max()) > thickness + BOTH:  # sides go on beyond fronts that are cut
+        cut = np.concatenate([cut, *(frame.on_front(cut) for frame in frames)])
+        cut = cut[cut[:, 2] < thickness + BOTH]
     off = np.stack([frame.distance(cut) for frame in frames])
     least = off.min(axis=0)
     if max(far, float(least.max())) > FARTHEST:
@@ -117,6 +123,17 @@ class _Frame:
         at, share = rest @ self.along, rest @ self.rise / self.high
         ends = self.ends[0] + share[:, None] * (self.ends[1] - self.ends[0])
         return np.asarray(np.max([np.abs(rest @ self.normal), ends[:, 0] - at, at - ends[:, 1]], axis=0))
+
+    def on_front(self, cut: FloatArray) -> FloatArray:
+        """Points (N, 3) [m] of what is cut of the side on its front edge, of ``cut`` (V, 3) that go on
+        beyond it."""
+        own = cut[self.distance(cut) < BOTH] - self.corner
+        high = LinearNDInterpolator(np.stack([own @ self.along, own @ self.rise], axis=1), own @ self.normal)
+        first, last = self.ends[1].tolist()
+        at = np.linspace(first, last, int((last - first) / _EDGE_STEP) + 2)
+        off = high(at, np.full(len(at), self.high))
+        edge = self.corner + at[:, None] * self.along + self.high * self.rise + off[:, None] * self.normal
+        return np.asarray(edge[np.isfinite(off)])
 
 
 def side_joint(names: tuple[str, str], one: CutSide, other: CutSide) -> CutJoint | None:

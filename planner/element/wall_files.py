@@ -24,6 +24,7 @@ from planner.element.jobs import (
 from planner.element.nest import PanelBlock
 from planner.element.output import finished, outline, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
+from planner.element.rows import Shape
 from planner.element.strips import Divided
 from planner.element.wall_assembly import Stand, assembly
 from planner.element.wall_panels import SIDES, WallPanel, face_rulings, numbers
@@ -205,7 +206,9 @@ def panel_block(element: Element, panel: WallPanel, name: str) -> PanelBlock:
     """What is nested into raw blocks for a panel."""
     length, width, high = (v * MM for v in block_mm(panel))
     own = element.file.blocks[panel.block].foam
-    return PanelBlock(name, length, width, high, panel.volume, own)
+    return PanelBlock(
+        name, length, width, high, panel.volume, own, Shape(panel.ring, (panel.back, panel.front))
+    )
 
 
 def _places(panels: Sequence[WallPanel]) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ are apart on its front line, and both backs on its back line, along what is betw
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +19,8 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
 
 from planner.element.jobs import block_pose
-from planner.element.run_joints import LARGEST_DEVIATION, CutFace, CutJoint, other_panel, part_objects
+from planner.element.nested_output import AGAIN
+from planner.element.run_joints import LARGEST_DEVIATION, CutFace, CutJoint, other_panel, panel_objects
 from planner.geometry.arrays import FloatArray, dots, lengths, transform, unit
 from planner.geometry.units import MM
 from planner.reading import strict_yaml
@@ -46,13 +48,17 @@ def cut_surfaces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[WallFa
     panel's file.
     """
     name = str(panel["id"])
-    path = run / name / "simulated_part.obj"
-    parts = part_objects(path)
+    path, parts = panel_objects(run, panel)
+    if "cut_in" in panel:
+        written = strict_yaml.read(out / AGAIN / f"{name}.yaml").data["part"]["ruled"]
+        parts = _of_row(parts, name, written)
+    else:
+        written = strict_yaml.read(out / "panels" / f"{name}.yaml").data["part"]["ruled"]
     if "cut_front" not in parts or "cut_back" not in parts:
         return ()
     pose = block_pose(panel)
     found = []
-    for one in strict_yaml.read(out / "panels" / f"{name}.yaml").data["part"]["ruled"]:
+    for one in written:
         cut = parts.get(f"cut_{one['name']}")
         if cut is None:
             continue
@@ -65,6 +71,26 @@ def cut_surfaces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[WallFa
         placed = (transform(pose, place), transform(pose, cut), own @ pose[:3, :3].T)
         found.append(WallFace(*placed, np.zeros(0, dtype=np.intp), str(one["name"])))
     return tuple(found)
+
+
+def _of_row(
+    parts: Mapping[str, FloatArray], name: str, written: Sequence[Mapping[str, Any]]
+) -> dict[str, FloatArray]:
+    """What is cut of a panel in a row, as a job of its own calls it: of faces what is nearest to the panel's,
+    of the outline each point with the side that it is nearest to."""
+    found: dict[str, FloatArray] = {}
+    trees = {str(one["name"]): cKDTree(_written(one)[0]) for one in written}
+    for face, whole in (("front", "cut_fronts"), ("back", "cut_backs")):
+        if whole in parts:
+            far, _ = trees[face].query(parts[whole], distance_upper_bound=WRITTEN_STEP)
+            found[f"cut_{face}"] = parts[whole][np.isfinite(far)]
+    ring = [points for word, points in parts.items() if re.fullmatch(rf"cut_{name}(_\d+)?", word)]
+    if ring:
+        cut = np.concatenate(ring)
+        sides = [side for side in trees if side not in ("front", "back")]
+        near = np.argmin(np.stack([trees[side].query(cut)[0] for side in sides]), axis=0)
+        found |= {f"cut_{side}": cut[near == k] for k, side in enumerate(sides)}
+    return found
 
 
 def _written(ruled: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:

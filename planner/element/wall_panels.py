@@ -79,8 +79,8 @@ class WallPanel:
 
     ``size`` (3,) of the piece of the kind of ``block`` that it is cut from, ``box`` (3,): its own. ``front``,
     ``back`` (2, N, 3): ends of rulings, beyond the sides; ``sides``, as of ``SIDES``, (2, K, 3) each: beyond
-    both faces and one another. ``volume`` [m^3]; ``off``: the back's largest distance from the
-    surface one thickness behind.
+    both faces and one another; ``ring`` (2, C, 3): all of them as one outline. ``volume`` [m^3]; ``off``: the
+    back's largest distance from the surface one thickness behind.
     """
 
     piece: Piece
@@ -91,6 +91,7 @@ class WallPanel:
     front: FloatArray
     back: FloatArray
     sides: tuple[FloatArray, ...]
+    ring: FloatArray
     volume: float
     off: float
 
@@ -168,12 +169,12 @@ def in_block(
     half[1] = max(half[1], *(float(np.abs(face[..., 1]).max()) for face in (front, back)))
     lead = BEYOND * foam[1] * piece.leads
     ring = transform(to_block, np.stack([bottom - lead, top + lead]))
-    ring = np.concatenate([ring, ring[:, :1]], axis=1)
-    ends = itertools.pairwise((*piece.corners, ring.shape[1] - 1))
-    sides = tuple(_through(ring[:, i : k + 1], half - foam[0] + go_on) for i, k in ends)
+    whole = np.concatenate([ring, ring[:, :1]], axis=1)
+    ends = itertools.pairwise((*piece.corners, ring.shape[1]))
+    sides = tuple(_through(whole[:, i : k + 1], half - foam[0] + go_on) for i, k in ends)
     size = np.array([*(2.0 * half), room.thickness])
     measures = _measures(wall, piece, thickness)
-    return WallPanel(piece, room.block, size, box, pose, front, back, sides, *measures)
+    return WallPanel(piece, room.block, size, box, pose, front, back, sides, ring, *measures)
 
 
 def outline(wall: RuledWall, piece: Piece, thickness: float) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -164,12 +164,18 @@ def middle_way(normals: FloatArray) -> tuple[FloatArray, float]:
         work.append(worst)
 
 
+@functools.cache
+def _chosen(count: int, some: int) -> IntArray:
+    """All choices (K, ``some``) of so many of the numbers 0 to ``count`` - 1."""
+    chosen = list(itertools.combinations(range(count), some))
+    return np.array(chosen, dtype=np.int64).reshape(-1, some)
+
+
 def _middle_of(normals: FloatArray) -> tuple[FloatArray, float]:
     ways = [-normals]
-    pairs = np.array(list(itertools.combinations(range(len(normals)), 2)), dtype=np.int64).reshape(-1, 2)
+    pairs, triples = _chosen(len(normals), 2), _chosen(len(normals), 3)
     half = -normals[pairs].sum(axis=1)
     ways.append(half[lengths(half) > _TIGHT])
-    triples = np.array(list(itertools.combinations(range(len(normals)), 3)), dtype=np.int64).reshape(-1, 3)
     a, b, c = normals[triples].transpose(1, 0, 2)
     across = np.cross(b - a, c - a)
     ways += [across[lengths(across) > _TIGHT], -across[lengths(across) > _TIGHT]]
@@ -367,18 +373,17 @@ class _Site:
         sides, the one with the least in the way."""
         slab = self.slabs[k]
         around = self._around(k, standing)
-        above = [
-            way
-            for way in self._ways(k, standing)
-            if self.low[k] + min(0.0, float(way @ self.up)) * slab.travel >= -self.give
-        ]
 
         def met(way: FloatArray, give: float) -> bool:
             return in_the_way(slab.triangles, around, way, slab.travel, give) > give
 
-        for way in above:
+        above = []
+        for way in self._ways(k, standing):  # most bodies take the first one
+            if self.low[k] + min(0.0, float(way @ self.up)) * slab.travel < -self.give:
+                continue
             if not len(around) or not met(way, self.give):
                 return Step(k, -way, 0.0)
+            above.append(way)
         depths = []
         for way in above[:FEW]:
             gives = TOLD[self.give < TOLD].tolist()
@@ -393,23 +398,24 @@ class _Site:
         near = [b for b in np.flatnonzero(apart < reach + self.radii).tolist() if b in standing]
         return np.concatenate([self.slabs[b].triangles for b in near] or [np.zeros((0, 3, 3))])
 
-    def _ways(self, k: int, standing: set[int]) -> Sequence[FloatArray]:
+    def _ways(self, k: int, standing: set[int]) -> Iterator[FloatArray]:
         """Ways out of a body that are tried: square to sides where that is wanted; away from all sides and
         from below, away from all sides, to the front, to the back, up; then whatever the sides leave, the
         farthest from them first."""
         sides, normal = self.sides(k, standing), self.slabs[k].normal
         below = -self.up[None]
-        ways = [middle_way(np.concatenate([sides, below]))[0]] if len(sides) else [normal]
+        first = middle_way(np.concatenate([sides, below]))[0] if len(sides) else normal
         if len(sides) and self.square is not None:
-            ways = [*self._square_ways(k, standing, sides, ways[0], self.square), *ways]
-        ways += [middle_way(sides)[0]] if len(sides) else []
-        ways += [normal, -normal, self.up]
+            yield from self._square_ways(k, standing, sides, first, self.square)
+        yield first
+        if len(sides):
+            yield middle_way(sides)[0]
+        yield from (normal, -normal, self.up)
         if self.opens(k, standing):
             many = _directions()
             margin = -(many @ np.concatenate([sides, below]).T).max(axis=1)
             order = np.argsort(-np.round(margin, 9), kind="stable")
-            ways += list(many[order[margin[order] > 0.0]])
-        return ways
+            yield from many[order[margin[order] > 0.0]]
 
     def _square_ways(
         self, k: int, standing: set[int], sides: FloatArray, middle: FloatArray, square: float

@@ -9,7 +9,7 @@ tree, depth first, so that what is cut next is always one part in one place.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,8 +18,8 @@ class Part:
 
     ``box``: number of the box that it is, ``turned`` where that lies with its width along x. ``axis``: 0
     where a cut parts it along x, 1 along y, with the slot from ``place`` [m] on; ``low`` and ``high`` are
-    the numbers of what that leaves in the tree, None where the slot takes all of it. Neither box nor
-    axis: left over.
+    the numbers of what that leaves in the tree, None where the slot takes all of it. ``whole``: it stays
+    as it is for another job. None of these: left over.
     """
 
     x: float
@@ -32,6 +32,7 @@ class Part:
     place: float = 0.0
     low: int | None = None
     high: int | None = None
+    whole: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +51,41 @@ class CutTree:
 
     def offcuts(self) -> tuple[Part, ...]:
         """What is left over."""
-        return tuple(part for part in self.parts if part.box is None and part.axis is None)
+        return tuple(part for part in self.parts if part.box is None and part.axis is None and not part.whole)
+
+    def below(self, first: int) -> tuple[int, ...]:
+        """Numbers of a part and of all that it is cut into, in their order."""
+        out, waiting = [], [first]
+        while waiting:
+            i = waiting.pop()
+            out.append(i)
+            waiting += [k for k in (self.parts[i].high, self.parts[i].low) if k is not None]
+        return tuple(out)
+
+    def with_boxes(self, numbers: Sequence[int], swapped: Sequence[bool]) -> CutTree:
+        """The tree with ``numbers`` for its boxes 0, 1 ..., some of them ``swapped``: length and width of
+        these are the other way round."""
+        parts = [
+            part
+            if part.box is None
+            else dataclasses.replace(part, box=numbers[part.box], turned=part.turned != swapped[part.box])
+            for part in self.parts
+        ]
+        return CutTree(tuple(parts))
+
+    def left_whole(self, parts: Collection[int]) -> CutTree:
+        """The tree in which the parts with these numbers, none of them in another, are not cut apart."""
+        inner = {k for i in parts for k in self.below(i)[1:]}
+        numbers = {i: n for n, i in enumerate(i for i in range(len(self.parts)) if i not in inner)}
+        out = []
+        for i in numbers:
+            part = self.parts[i]
+            if i in parts:
+                out.append(Part(part.x, part.y, part.length, part.width, whole=True))
+                continue
+            low, high = (None if k is None else numbers[k] for k in (part.low, part.high))
+            out.append(dataclasses.replace(part, low=low, high=high))
+        return CutTree(tuple(out))
 
     def stages(self, together: Callable[[Stage], bool]) -> tuple[Stage, ...]:
         """What is cut while it lies in one place: parts in the order of the tree, each with all cuts along

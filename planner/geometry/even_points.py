@@ -27,6 +27,8 @@ _ONE_SIDE: Final = 0.1
 """Ratio of principal curvatures from which on panels are to be convex."""
 _ROUNDS: Final = 40
 """Lloyd's rounds."""
+_FIRST: Final = 50
+"""Farthest points that are held against all vertices: few are farther from later ones than they reach."""
 _JITTER: Final = 0.02
 """Share by which distances of farthest points are changed to break ties."""
 
@@ -96,14 +98,22 @@ def spread(surface: FineSurface, count: int) -> FloatArray:
     # a fixed number of each vertex in [0, 1): fractional parts of multiples of the golden section
     chance = np.modf(np.arange(1, len(at) + 1) * 0.6180339887498949)[0]
     weight = 1.0 + _JITTER * (chance - 0.5)
+    tree = KDTree(at)
     apart = np.full(len(at), np.inf)
+    ranked = apart.copy()
     found = [at[int(np.argmax(weight * np.linalg.norm(at - at.mean(axis=0), axis=1)))]]
+    near: IntArray = np.arange(len(at))
     while True:
-        off = at - found[-1]
-        apart = np.minimum(apart, dots(off, off))
+        off = at[near] - found[-1]
+        apart[near] = np.minimum(apart[near], dots(off, off))
+        ranked[near] = weight[near] * apart[near]
         if len(found) == count:
             break
-        found.append(at[int(np.argmax(weight * apart))])
+        last = int(np.argmax(ranked))
+        found.append(at[last])
+        if len(found) > _FIRST:  # beyond the farthest way that is left the new point takes nothing
+            reach = np.sqrt(ranked[last] / (1.0 - 0.5 * _JITTER)) * (1.0 + 1e-9)
+            near = np.array(tree.query_ball_point(found[-1], reach), dtype=np.int64)
     points = np.array(found)
     for _ in range(_ROUNDS):
         points = middles(surface, np.asarray(KDTree(points).query(at)[1]), points)

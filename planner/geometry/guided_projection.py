@@ -11,7 +11,7 @@ import dataclasses
 from typing import Final
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, diags_array
+from scipy.sparse import csc_array, csr_array, diags_array, vstack
 from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial import KDTree
 
@@ -93,7 +93,8 @@ def planarised(
     """
     work = _Work(surface, pattern, middle, normal, convex, thickness, least_edge, ground, weights)
     for _ in range(weights.rounds):
-        if work.round() < _SETTLED:
+        moved = work.round()
+        if np.quantile(moved, 1.0 - _RESTLESS) < _SETTLED and moved.max() < 10.0 * _SETTLED:
             break
     work.exact()
     x, w, n, d = work.split(work.z)
@@ -123,29 +124,44 @@ def _squared(pattern: Pattern, normal: FloatArray, knot: FloatArray, way: FloatA
 
 
 class _Rows:
-    """Rows of a Jacobian, gathered."""
+    """Rows of a Jacobian, gathered in their order."""
 
     def __init__(self) -> None:
-        self.row: list[IntArray] = []
         self.column: list[IntArray] = []
         self.value: list[FloatArray] = []
+        self.size: list[IntArray] = []
         self.rest: list[FloatArray] = []
-        self.count = 0
 
     def add(self, rest: FloatArray, *terms: tuple[IntArray, FloatArray], weight: float = 1.0) -> None:
         """Rows with what is left ``rest`` (M,) and terms of columns (M, C) and values (M, C)."""
-        index = self.count + np.arange(len(rest))
-        for column, value in terms:
-            self.row.append(np.repeat(index, column.shape[1]))
-            self.column.append(column.reshape(-1))
-            self.value.append(weight * value.reshape(-1))
+        columns = np.concatenate([column for column, _ in terms], axis=1)
+        self.column.append(columns.reshape(-1))
+        self.value.append(weight * np.concatenate([value for _, value in terms], axis=1).reshape(-1))
+        self.size.append(np.full(len(rest), columns.shape[1]))
         self.rest.append(weight * rest)
-        self.count += len(rest)
+
+    def add_uneven(self, rest: FloatArray, size: IntArray, column: IntArray, value: FloatArray) -> None:
+        """Rows of ``size`` (M,) terms each, one after the other."""
+        self.column.append(column)
+        self.value.append(value)
+        self.size.append(size)
+        self.rest.append(rest)
 
     def matrix(self, columns: int) -> tuple[csr_array, FloatArray]:
-        where = (np.concatenate(self.row), np.concatenate(self.column))
-        shape = (self.count, columns)
-        return csr_array((np.concatenate(self.value), where), shape=shape), np.concatenate(self.rest)
+        """The Jacobian, its columns in no order, and what is left."""
+        rest = np.concatenate(self.rest)
+        start = np.concatenate([[0], np.cumsum(np.concatenate(self.size))])
+        parts = np.concatenate(self.value), np.concatenate(self.column), start
+        return csr_array(parts, shape=(len(rest), columns)), rest
+
+
+def normal_equations(matrix: csr_array, steady: float) -> csc_array:
+    """``matrix.T @ matrix`` with the square of ``steady`` added to its diagonal, columns in order."""
+    count = matrix.shape[1]
+    held = csr_array((np.full(count, steady), np.arange(count), np.arange(count + 1)), shape=(count, count))
+    whole = vstack([matrix, held], format="csr")
+    # a conversion sorts in one go what the product leaves unsorted
+    return csc_array(csr_array(whole.T.tocsr() @ whole).tocsc())
 
 
 class _Work:
@@ -210,7 +226,6 @@ class _Work:
             (1.0 / count[both[:, 0]], (both[:, 0], both[:, 1])), shape=(self.knots, self.knots)
         )
         self.smooth = csr_array(diags_array(np.ones(self.knots)) - shares)
-        self.fairing = self.smooth.tocoo()
 
     def _upright(self, x: FloatArray) -> FloatArray:
         return self.upright[self.tree.query(x)[1]]
@@ -264,8 +279,8 @@ class _Work:
         level = self.level
         rows.add(w[level, 2], (self._w(level)[:, [2]], np.ones((len(level), 1))), weight=weight)
 
-    def round(self) -> float:
-        """One round of Gauss-Newton over all wishes; how far an unknown moved at most."""
+    def round(self) -> FloatArray:
+        """One round of Gauss-Newton over all wishes; how far each unknown moved."""
         x, w, n, _ = self.split(self.z)
         rows, g = _Rows(), self.weights
         self._planes(rows, self.z, g.plane)
@@ -287,10 +302,9 @@ class _Work:
         self._fair(rows, x, up)
         self._hinges(rows, x, w, n)
         matrix, rest = rows.matrix(len(self.z))
-        square = csc_array(matrix.T @ matrix + g.steady**2 * diags_array(np.ones(len(self.z))))
-        step = symmetric_factor(square).solve(matrix.T @ rest)
+        step = symmetric_factor(normal_equations(matrix, g.steady)).solve(matrix.T @ rest)
         self.z = self.z - step
-        return float(np.abs(step).max())
+        return np.abs(step)
 
     def _rims(self, rows: _Rows, x: FloatArray) -> None:
         at = self.rim_tree.query(x[self.rim])[1]
@@ -304,17 +318,15 @@ class _Work:
 
     def _fair(self, rows: _Rows, x: FloatArray, up: FloatArray) -> None:
         """Knots in the middle of their neighbours, as seen from above."""
-        coo, off = self.fairing, np.asarray(self.smooth @ x)
+        smooth, off = self.smooth, np.asarray(self.smooth @ x)
+        column = (3 * smooth.indices[:, None] + np.arange(3)).reshape(-1)
+        row, size = np.repeat(np.arange(self.knots), np.diff(smooth.indptr)), 3 * np.diff(smooth.indptr)
         moved, every = x - self.pattern.place / self.scale, np.arange(self.knots)
         axis = np.eye(3)[np.argmin(np.abs(up), axis=1)]
         one = unit(np.cross(up, axis))
         for way in (one, np.cross(up, one)):
-            first = rows.count
-            rows.row.append(np.repeat(first + coo.row, 3))
-            rows.column.append((3 * coo.col[:, None] + np.arange(3)).reshape(-1))
-            rows.value.append(self.weights.fair * (coo.data[:, None] * way[coo.row]).reshape(-1))
-            rows.rest.append(self.weights.fair * dots(off, way))
-            rows.count += self.knots
+            value = self.weights.fair * (smooth.data[:, None] * way[row]).reshape(-1)
+            rows.add_uneven(self.weights.fair * dots(off, way), size, column, value)
             rows.add(dots(moved, way), (self._x(every), way), weight=self.weights.stay)
 
     def _hinges(self, rows: _Rows, x: FloatArray, w: FloatArray, n: FloatArray) -> None:
@@ -374,14 +386,17 @@ class _Work:
             if worst >= 0.5 * best and worst < 1e-13:
                 break
             best = min(best, worst)
-            square = csc_array(matrix @ matrix.T + 1e-12 * diags_array(np.ones(len(rest))))
+            square = normal_equations(csr_array(matrix.T.tocsr()), 1e-6)
             self.z = self.z - matrix.T @ symmetric_factor(square).solve(rest)
         n = self.split(self.z)[2]
         n /= np.linalg.norm(n, axis=1, keepdims=True)
 
 
 _SETTLED: Final = 1e-4
-"""Rounds end when no unknown moves by more: knots in spacings of panels; some 0.1 mm."""
+"""Rounds end when unknowns move by no more: knots in spacings of panels; some 0.1 mm."""
+_RESTLESS: Final = 1e-3
+"""Share of the unknowns that may move up to ten times as far then: knots half-way between two vertices of the
+surface go to and fro for ever."""
 _SEEN: Final = 0.1
 """Height of the middle of a panel over the lines of its sides, in spacings."""
 _CONVEX: Final = 0.08

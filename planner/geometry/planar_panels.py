@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, unit
 from planner.geometry.conjugate_field import layout
 from planner.geometry.even_points import (
     FineSurface,
@@ -164,10 +165,12 @@ def check_panels(
     """What the panels are, measured from their corners; ``bend`` (N,) [1/m^2]: Gaussian curvature of the
     surface at each; ``under``: it is the panels' bottoms that are to lie on the ``surface``, or else their
     tops."""
-    rows = [_measured(panel) for panel in panels]
-    off_plane, off_side, concave, simple, least, width, tilt, stretch = (
-        np.array(v) for v in zip(*rows, strict=True)
-    )
+    corners = np.array([len(panel.bottom) for panel in panels])
+    measured = np.zeros((8, len(panels)))
+    for count in np.unique(corners).tolist():
+        some = np.flatnonzero(corners == count)
+        measured[:, some] = _measured([panels[k] for k in some.tolist()])
+    off_plane, off_side, concave, simple, least, width, tilt, stretch = measured
     samples, owner = [], []
     for k, panel in enumerate(panels):
         ring = panel.bottom if under else panel.top
@@ -182,8 +185,8 @@ def check_panels(
     return PanelCheck(
         off_plane,
         off_side,
-        concave,
-        simple,
+        concave > 0.0,
+        simple > 0.0,
         least,
         width,
         off,
@@ -194,44 +197,51 @@ def check_panels(
     )
 
 
-def _measured(panel: ThickPanel) -> tuple[float, float, bool, bool, float, float, float, float]:
-    off_plane, concave, simple, least = 0.0, False, True, np.inf
-    n = panel.normal
-    one = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
-    one /= np.linalg.norm(one)
-    axes = np.stack([one, np.cross(n, one)], axis=1)
-    for ring in (panel.bottom, panel.top):
-        height = ring @ n
-        off_plane = max(off_plane, float(np.ptp(height)))
+def _measured(panels: Sequence[ThickPanel]) -> FloatArray:
+    """The first eight figures (8, N) of `PanelCheck`, but for that of the surface, of panels with as many
+    corners each."""
+    n = np.array([panel.normal for panel in panels])
+    bottom, top = (np.array([getattr(panel, side) for panel in panels]) for side in ("bottom", "top"))
+    level = np.array([panel.level for panel in panels]).astype(np.bool_)
+    one = unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)]))
+    axes = np.stack([one, np.cross(n, one)], axis=2)
+    off_plane, concave = np.zeros(len(n)), np.zeros(len(n), dtype=np.bool_)
+    simple, least = ~concave, np.full(len(n), np.inf)
+    for ring in (bottom, top):
+        off_plane = np.maximum(off_plane, np.ptp((ring @ n[..., None])[..., 0], axis=1))
         flat = ring @ axes
-        edge = np.roll(flat, -1, axis=0) - flat
-        after = np.roll(edge, -1, axis=0)
-        size = np.linalg.norm(edge, axis=1)
-        sine = (edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0]) / np.maximum(
-            size * np.roll(size, -1), 1e-300
+        edge = np.roll(flat, -1, axis=1) - flat
+        after = np.roll(edge, -1, axis=1)
+        size = np.linalg.norm(edge, axis=2)
+        sine = (edge[..., 0] * after[..., 1] - edge[..., 1] * after[..., 0]) / np.maximum(
+            size * np.roll(size, -1, axis=1), 1e-300
         )
-        concave |= bool((sine < -1e-9).any())
-        outline = shapely.Polygon(flat)
-        simple &= bool(outline.is_valid and outline.exterior.is_ccw)
-        least = min(least, float(size.min()))
-    hull = np.asarray(shapely.convex_hull(shapely.MultiPoint(panel.bottom @ axes)).exterior.coords)
-    run = np.diff(hull, axis=0)
-    across = (
-        np.stack([-run[:, 1], run[:, 0]], axis=1) / np.maximum(np.linalg.norm(run, axis=1), 1e-300)[:, None]
-    )
-    width = float(np.ptp(hull @ across.T, axis=0).min())
-    rise = panel.top - panel.bottom
-    size, up = np.linalg.norm(rise, axis=1), rise @ n
-    level = panel.level.astype(np.bool_)
-    free = ~(level | np.roll(level, 1))
+        concave |= (sine < -1e-9).any(axis=1)
+        outline = shapely.polygons(flat)
+        simple &= shapely.is_valid(outline) & shapely.is_ccw(shapely.get_exterior_ring(outline))
+        least = np.minimum(least, size.min(axis=1))
+    rise = top - bottom
+    size, up = np.linalg.norm(rise, axis=2), (rise @ n[..., None])[..., 0]
+    free = ~(level | np.roll(level, 1, axis=1))
     cosine = np.where(free, up / np.maximum(size, 1e-300), 1.0)
-    tilt = float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))
-    stretch = float(np.where(free, size / np.maximum(np.abs(up), 1e-300), 1.0).max())
-    off_side = 0.0
-    for quad in side_quads(panel):
-        rest = quad - quad.mean(axis=0)
-        off_side = max(off_side, float(np.abs(rest @ np.linalg.svd(rest)[2][2]).max()))
-    return off_plane, off_side, concave, simple, least, width, tilt, stretch
+    tilt = np.arccos(np.clip(cosine.min(axis=1), -1.0, 1.0))
+    stretch = np.where(free, size / np.maximum(np.abs(up), 1e-300), 1.0).max(axis=1)
+    quads = np.array([side_quads(panel) for panel in panels])
+    rest = quads - quads.mean(axis=2, keepdims=True)
+    across = np.linalg.svd(rest, full_matrices=False)[2][..., 2, :]
+    off_side = np.abs(rest @ across[..., None]).max(axis=(1, 2, 3))
+    return np.array([off_plane, off_side, concave, simple, least, _widths(bottom @ axes), tilt, stretch])
+
+
+def _widths(flat: FloatArray) -> FloatArray:
+    """Least widths (N,) of outlines (N, C, 2): a pair of corners lies on the edge of the hull across which
+    that is, and no line through two others is narrower."""
+    one, two = np.triu_indices(flat.shape[1], 1)
+    run = flat[:, two] - flat[:, one]
+    size = np.linalg.norm(run, axis=2)
+    across = np.stack([-run[..., 1], run[..., 0]], axis=2) / np.maximum(size, 1e-300)[..., None]
+    spans = np.ptp(flat @ across.swapaxes(1, 2), axis=1)
+    return np.asarray(np.where(size > 0.0, spans, np.inf).min(axis=1))
 
 
 def _zones(panels: tuple[ThickPanel, ...], chosen: BoolArray) -> tuple[IntArray, ...]:

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from planner.element.elastic import (
-    ElasticPanel,
     Rules,
     Search,
     divide_elastic,
-    joints,
     search,
     table,
 )
+from planner.element.elastic_panel import ElasticPanel, joints
 from planner.element.misfit import MISFIT_STEP
 from planner.element.panel_faces import CutWire
 from planner.element.surface import stand
@@ -148,6 +147,26 @@ def test_steps_at_joints_are_those_of_the_meshes_and_small(
     every = np.concatenate([joint.steps.ravel() for joint in met])
     assert np.percentile(ends, 95) < 0.03e-3
     assert np.percentile(every, 95) < 0.2e-3
+
+
+def test_of_divisions_with_as_few_panels_one_whose_joints_keep_their_limit_is_taken() -> None:
+    made = case((1.8, 1.2), (7, 6), 0.9, (0.7, 0.6, 0.15))
+    free = divide_elastic(made)
+    limit = 0.8 * max(joint.step for joint in joints(free))
+    rules = dataclasses.replace(made.rules, joint=limit)
+    even = divide_elastic(dataclasses.replace(made, rules=rules))
+    assert len(even) == len(free)
+    assert max(joint.step for joint in joints(even)) <= limit
+    assert sum(map(cells, even)) == 42
+
+
+def test_joints_keep_twice_the_tolerance() -> None:
+    """What is advised where joints are beyond their limit: half of it as the tolerance."""
+    made = case((2.0, 1.5), (8, 8), 0.7, (0.6, 0.6, 0.12))
+    rules = dataclasses.replace(made.rules, joint=0.2e-3)
+    coarse = divide_elastic(dataclasses.replace(made, rules=rules))
+    fine = divide_elastic(dataclasses.replace(made, rules=dataclasses.replace(rules, tolerance=0.1e-3)))
+    assert max(joint.step for joint in joints(coarse)) > 0.2e-3 >= max(joint.step for joint in joints(fine))
 
 
 def test_weighted_ends_make_joints_even() -> None:

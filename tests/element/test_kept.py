@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
+import random
 import signal
 import subprocess
 import sys
@@ -186,3 +188,45 @@ def test_a_batch_of_an_element_that_is_killed_goes_on_to_the_same_bytes(count: i
     assert {name: (one / name).stat().st_ino for name in done} == done
     for name in names:
         assert content(one / name) == content(tmp_path / "whole" / name)
+
+
+def whole_and_killed(words: list[Any], again: list[Any], seed: int, kills: int) -> None:
+    """A command that is killed at random instants of its usual time, then goes on to its end; what is killed
+    first is ``words``, later ``again``."""
+    rng = random.Random(seed)
+    start = time.monotonic()
+    assert subprocess.run([*words, "-o", "whole"], stdout=subprocess.DEVNULL, check=False).returncode == 0
+    usual = time.monotonic() - start
+    for n in range(kills):
+        going = subprocess.Popen([*(again if n else words), "-o", "killed"], stdout=subprocess.DEVNULL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            going.wait(rng.uniform(0.1, 1.0) * usual)
+        going.kill()
+        going.wait()
+    assert subprocess.run([*again, "-o", "killed"], stdout=subprocess.DEVNULL, check=False).returncode == 0
+
+
+@pytest.mark.long
+def test_a_dome_that_is_killed_goes_on_to_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = shell(tmp_path, hexagons={"count": 24, "off_surface_mm": 60})
+    monkeypatch.chdir(tmp_path)
+    words = [sys.executable, "-m", "planner", "element", path]
+    whole_and_killed(words, [*words, "--resume"], 5, 6)
+    assert content(tmp_path / "killed") == content(tmp_path / "whole")
+    left = {one.name for one in tmp_path.iterdir()}
+    assert left == {"shell.obj", "held.yaml", "element.yaml", "whole", "killed"}
+
+
+@pytest.mark.long
+def test_a_batch_of_a_dome_like_neighbours_that_is_killed_goes_on_to_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_element(ElementRequest(ROOT / "problems" / "dome_267" / "element.yaml", tmp_path / "dome"))
+    monkeypatch.chdir(tmp_path)
+    files = [tmp_path / "dome" / "panels" / f"{name}.yaml" for name in ("A05", "A06", "A07", "B05", "D10")]
+    words = [sys.executable, "-m", "planner", "batch", *files, "--workers", "1", "--like", "neighbour"]
+    whole_and_killed(words, [*words, "--resume"], 3, 3)
+    for file in files:
+        assert content(tmp_path / "killed" / file.stem) == content(tmp_path / "whole" / file.stem)
