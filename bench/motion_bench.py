@@ -58,7 +58,8 @@ def run() -> list[dict[str, Any]]:
         inverse_offset_wrist(),
         inverse_seven_axes(),
         *jobs(),
-        one_arm(),
+        one_arm(400),
+        one_arm(4000),
         many_targets(),
         *bows(),
         placement(),
@@ -155,9 +156,9 @@ def beams_in_the_way() -> tuple[Obstacle, ...]:
     return tuple(beams)
 
 
-def one_arm() -> dict[str, Any]:
-    """400 poses on an S-curve with free spin at 10 degrees and collisions."""
-    cell, targets = s_curve()
+def one_arm(count: int) -> dict[str, Any]:
+    """Poses on an S-curve with free spin at 10 degrees and collisions."""
+    cell, targets = s_curve(count)
     place = from_parts(np.eye(3), np.array([0.5, 0.0, 0.0]))
     model = plant.build(cell, block((0.6, 0.8, 0.1), place), place)
     stages: list[float] = []
@@ -170,7 +171,7 @@ def one_arm() -> dict[str, Any]:
     row, plan = timed(work)
     checks = plan.metrics["collision_checks"]
     row["note"] += f"; reach to timing {np.median(stages[1:]):.3f} s wall; {checks} checks"
-    return {"name": "one arm, 400 poses, 36 spins, whole", **row}
+    return {"name": f"one arm, {count:,} poses, 36 spins, whole", **row}
 
 
 def many_targets() -> dict[str, Any]:

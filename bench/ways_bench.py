@@ -17,7 +17,7 @@ import numpy as np
 from planner import pipeline, processes
 from planner.motion import solve, ways
 from planner.motion.planning_scene import Scene
-from planner.motion.rrt import travel
+from planner.motion.shortening import travel
 from planner.motion.ways import Ways, _Moving
 from planner.problem import Problem
 from planner.targets import Job

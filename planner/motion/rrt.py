@@ -1,10 +1,8 @@
 """A free way between two points: the straight line, some coordinates after the others, or a tree from either
-end; then made shorter by optimisation of its corners.
+end.
 
-The search: Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA
-2000. Seeded, so the same question has the same answer. The optimisation: sequential convex programming with a
-trust region and an exact penalty, after Schulman et al., "Motion planning with sequential convex optimization
-and convex collision checking", IJRR 2014; its steps are quadratic programs by Drake's `MathematicalProgram`.
+Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000. Seeded, so
+the same question has the same answer.
 """
 
 from __future__ import annotations
@@ -12,14 +10,11 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from pydrake.solvers import MathematicalProgram, SolverInterface
-from scipy import sparse
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.trajectory.program import solvers
 
 Free = Callable[[FloatArray], BoolArray]
 Sure = Callable[[FloatArray, FloatArray], BoolArray]
@@ -31,6 +26,9 @@ MOST_ROUNDS = 3000
 """Samples that are drawn at most."""
 MOST_ORDERED_COORDINATES = 6
 """With more coordinates than this there are too many orders in which they may go."""
+
+FIRST_LOOKS = 8
+"""Of the points of lines around corners one of so many is asked about first, of all lines at once."""
 
 MOST_AHEAD = 32
 """Lines toward so many samples are asked about at once at most."""
@@ -95,9 +93,16 @@ def _around_corner(start: FloatArray, goal: FloatArray, free: Free, step: float)
     corners[:, live] = np.where(later, start[live], goal[live])
     lengths = np.abs(corners - start).max(axis=1) + np.abs(corners - goal).max(axis=1)
     corners = corners[np.argsort(lengths, kind="stable")]
-    for corner in corners[free(corners)]:
-        if _line_free(start, corner, free, step) and _line_free(corner, goal, free, step):
-            return np.stack([start, corner, goal])
+    corners = corners[free(corners)]
+    if not len(corners):
+        return None
+    lines = [np.concatenate([_line(start, c, step), _line(c, goal, step)]) for c in corners]
+    some = [line[::FIRST_LOOKS] for line in lines]  # of nearly all lines these already tell
+    own = np.repeat(np.arange(len(some)), [len(points) for points in some])
+    bad = np.bincount(own, ~free(np.concatenate(some)), len(some)) > 0
+    for k in np.flatnonzero(~bad).tolist():
+        if free(lines[k]).all():
+            return np.stack([start, corners[k], goal])
     return None
 
 
@@ -124,6 +129,10 @@ class Places:
     def thinned(self, count: int) -> Places:
         """At most so many of them, evenly."""
         some = np.unique(np.linspace(0, len(self.move) - 1, min(count, len(self.move))).astype(np.intp))
+        return self.at(some)
+
+    def at(self, some: IndexArray) -> Places:
+        """Some of them, perhaps more than once."""
         return Places(self.move[some], self.share[some])
 
     def points(self, way: FloatArray) -> FloatArray:
@@ -277,291 +286,27 @@ class _Growth:
 
 
 def _line_free(a: FloatArray, b: FloatArray, free: Free, step: float) -> bool:
+    return bool(free(_line(a, b, step)).all())
+
+
+def _line(a: FloatArray, b: FloatArray, step: float) -> FloatArray:
+    """Points (K, D) of the straight line behind ``a`` to ``b``."""
     count = max(1, int(np.ceil(np.abs(b - a).max() / step)))
-    return bool(free(a + (np.arange(1, count + 1) / count)[:, None] * (b - a)).all())
+    return np.asarray(a + (np.arange(1, count + 1) / count)[:, None] * (b - a))
 
 
 def _shorten(way: FloatArray, free: Free, step: float, rng: np.random.Generator) -> FloatArray:
     points = list(way)
+    blocked: set[tuple[int, int]] = set()  # few points are left soon, and the same ones are drawn again
     for _ in range(SHORTCUT_TRIES):
         if len(points) < 3:
             break
-        i, j = sorted(rng.choice(len(points), 2, replace=False))
-        if j - i > 1 and _line_free(points[i], points[j], free, step):
+        i, j = sorted(rng.choice(len(points), 2, replace=False).tolist())
+        if j - i < 2 or (i, j) in blocked:
+            continue
+        if _line_free(points[i], points[j], free, step):
             del points[i + 1 : j]
-    return np.array(points)
-
-
-@dataclasses.dataclass(frozen=True)
-class Rooms:
-    """What there is of room at points (B, D): R values ``room`` (R,), each at one of them, ``row`` (R,), with
-    its ``slope`` (R, D) by the coordinates. A point is free where all are at least 0; wide ones may be left
-    out."""
-
-    row: IndexArray
-    room: FloatArray
-    slope: FloatArray
-
-
-Near = Callable[[FloatArray], Rooms]
-
-MOST_MOVES: Final = 8
-"""Straight lines of a shortened way at most, unless it had more before."""
-LOOK_SPACING_M: Final = 0.05
-"""Way [m] between the places at which an optimised line is looked at in each round."""
-MOST_LOOKS: Final = 80
-"""Such places of a way, about, at most."""
-RESERVE_M: Final = 1e-3
-"""More than the room that is asked for [m], so that what lies between two looks keeps that."""
-RESERVE_SHARE: Final = 0.5
-"""Near an end whose own room is less no more than this share of it is asked for beyond."""
-RESERVE_SLOPE: Final = 0.1
-"""How fast [m/m] what is asked for grows from there."""
-ROUNDS: Final = 12
-"""Quadratic programs before the first last look at most."""
-REPAIR_ROUNDS: Final = 5
-"""Quadratic programs between two last looks at most."""
-LAST_LOOKS: Final = 8
-"""Last looks at a way from one seed at most: so often places that fail are fed back."""
-FED_BACK: Final = 30
-"""Places that fail in a last look and are looked at in all later rounds, at most."""
-TRUST_RAD: Final = 0.25
-"""How far [rad] a coordinate goes in the first round; halved when a round makes things worse."""
-LEAST_TRUST_RAD: Final = 2e-3
-"""No round goes less far [rad]."""
-LEAST_GAIN: Final = 5e-4
-"""A round that gains less, as a share of the cost, is the last."""
-EVENNESS: Final = 0.02
-"""Weight of squared lengths of the lines beside the travel: of ways with the same travel straight and even
-ones."""
-ROOM_PRICE: Final = 1e3
-"""Price [rad/m] of room that lacks: 1 mm is worth more than any detour."""
-HOPEFUL_ROUNDS: Final = 3
-"""After so many rounds there is no hope for a bent way that lacks more room [m] than this:"""
-HOPEFUL_M: Final = 0.01
-SAME_POINT: Final = 1e-9
-"""Waypoints [rad] nearer than this are one."""
-SAME_TRAVEL_RAD: Final = 1e-6
-"""A way that is longer than the straight line by less [rad] is as short as can be."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Task:
-    """What a way is made shorter in. ``near``: what there is of room, [m]; ``blocked``: where a way is not
-    free after all, every place or the first ones; ``lower``, ``upper`` (D,) of the corners; ``lever`` (D,)
-    [m/rad]: how far a coordinate carries anything at most."""
-
-    near: Near
-    blocked: Callable[[FloatArray, bool], Places]
-    lower: FloatArray
-    upper: FloatArray
-    lever: FloatArray
-
-
-def travel(way: FloatArray) -> float:
-    """Sum over all coordinates of how far they go along waypoints (M, D)."""
-    return float(np.abs(np.diff(way, axis=0)).sum())
-
-
-def shortened(
-    way: FloatArray, task: Task, looks: int = LAST_LOOKS, rounds: int = ROUNDS
-) -> FloatArray | None:
-    """A way (K, D) of less travel between the ends of ``way`` (M, D), free as ``task.blocked`` finds it and
-    without corners that it can do without; None where none was found. ``way`` itself need not be free.
-
-    The work is bounded by last ``looks``, quadratic programs before the first of them (``rounds``),
-    :data:`REPAIR_ROUNDS` and the looks that a line has; the same way has the same answer.
-    """
-    return _optimised_free(way, task, looks, rounds, None)
-
-
-def bent(way: FloatArray, task: Task, longer: float = 1.0) -> FloatArray | None:
-    """A free way (K, D) between the ends of a ``way`` (M, D) that is not free, of no more than ``longer``
-    times its travel; None where none was found. Of those that know this and a tree, this one is asked first:
-    its work is over as soon as a way has room and no more travel than before, when it is longer than may be,
-    or without hope after :data:`HOPEFUL_ROUNDS`."""
-    most = longer * travel(way) + SAME_TRAVEL_RAD
-    out = _optimised_free(way, task, LAST_LOOKS, ROUNDS, most)
-    return None if out is None or travel(out) > most else out
-
-
-def _optimised_free(
-    way: FloatArray, task: Task, looks: int, rounds: int, most: float | None
-) -> FloatArray | None:
-    """What :func:`shortened` gives, or :func:`bent` of ``most`` travel."""
-    ready = solvers()
-    if not ready or len(way) < 2:
-        return None
-    now, also, bad = _padded(way, task.lever), NOWHERE, NOWHERE
-    enough = None if most is None else travel(way) + SAME_TRAVEL_RAD
-    straight = enough == most
-    hoped = 0.0 if straight else most  # straight ones are soon bent, or never
-    for number in range(looks):
-        before, failed = now, bad
-        soon = enough if straight or not number else None
-        now = _optimised(now, also, task, ready[0], REPAIR_ROUNDS if number else rounds, soon, hoped)
-        if most is not None and travel(now) > most:
-            break
-        bad = task.blocked(now, True)
-        if not len(bad.move):
-            return _with_fewer_corners(now, task)
-        if len(failed.move) == len(bad.move) and np.array_equal(before, now):
-            break  # what was fed back has moved nothing
-        also = also.and_also(bad.thinned(FED_BACK))
-    return None
-
-
-def _padded(way: FloatArray, lever: FloatArray) -> FloatArray:
-    """The way with its longest lines halved until there are :data:`MOST_MOVES`."""
-    out = way
-    while len(out) <= MOST_MOVES:
-        k = int(np.argmax(np.abs(np.diff(out, axis=0)) @ lever))
-        out = np.insert(out, k + 1, 0.5 * (out[k] + out[k + 1]), axis=0)
-    return out
-
-
-def _with_fewer_corners(way: FloatArray, task: Task) -> FloatArray:
-    """The way without corners between whose neighbours the straight line is free."""
-    out, k = way, 1
-    while k < len(out) - 1:
-        straight = out[[k - 1, k + 1]]
-        same = bool(np.abs(out[k] - straight).max(axis=1).min() < SAME_POINT)
-        if same or not len(task.blocked(straight, False).move):
-            out = np.delete(out, k, axis=0)
+            blocked.clear()
         else:
-            k += 1
-    return out
-
-
-def _cost(way: FloatArray, weight: FloatArray) -> float:
-    step = np.diff(way, axis=0)
-    return travel(way) + EVENNESS * len(step) * float(np.sum((step * weight) ** 2))
-
-
-@dataclasses.dataclass(frozen=True)
-class _Looked:
-    """A way with what there is of room at places of it beyond what is asked for, and its merit."""
-
-    way: FloatArray
-    places: Places
-    rooms: Rooms
-    wanting: FloatArray
-    merit: float
-
-    @property
-    def lacks(self) -> float:
-        """The room [m] that lacks most."""
-        return float(self.wanting.max(initial=0.0))
-
-
-def _look(way: FloatArray, also: Places, task: Task, weight: FloatArray, ends: float) -> _Looked:
-    """Looks at a way; ``ends``: the least room at its ends [m]."""
-    length = np.abs(np.diff(way, axis=0)) @ task.lever
-    spacing = max(LOOK_SPACING_M, float(length.sum()) / MOST_LOOKS)
-    count = np.maximum(np.ceil(length / spacing), 2.0).astype(np.intp)
-    move = np.repeat(np.arange(len(count)), count)
-    share = np.concatenate([(np.arange(n) + 0.5) / n for n in count.tolist()])
-    corner = np.arange(len(count) - 1)
-    places = Places(move, share).and_also(Places(corner, np.ones(len(corner)))).and_also(also)
-    rooms = task.near(places.points(way))
-    start = np.append(0.0, np.cumsum(length))
-    gone = (start[:-1][places.move] + places.share * length[places.move])[rooms.row]
-    aside = np.minimum(gone, start[-1] - gone)
-    asked = np.minimum(RESERVE_M, RESERVE_SHARE * max(ends, 0.0) + RESERVE_SLOPE * aside)
-    wanting = asked - rooms.room
-    worst = np.zeros(len(count))
-    np.maximum.at(worst, places.move[rooms.row], wanting)
-    merit = _cost(way, weight) + ROOM_PRICE * float(worst.sum())
-    return _Looked(way, places, rooms, wanting, merit)
-
-
-def _optimised(
-    way: FloatArray,
-    also: Places,
-    task: Task,
-    program: SolverInterface,
-    rounds: int,
-    enough: float | None,
-    hoped: float | None,
-) -> FloatArray:
-    """The way with its corners moved so that cost and lacking room become least, near where they were; with
-    a travel that is ``enough`` only until it has room and that, and as long as there is hope of ``hoped``."""
-    weight = task.lever / task.lever.max()
-    ends = task.near(way[[0, -1]])
-    best = _look(way, also, task, weight, float(ends.room.min(initial=np.inf)))
-    trust = TRUST_RAD
-    for number in range(rounds):
-        far = hoped is not None and travel(best.way) > hoped
-        if far and number >= HOPEFUL_ROUNDS and best.lacks > HOPEFUL_M:
-            break
-        if enough is not None and best.lacks <= 0.0 and travel(best.way) <= enough:
-            break
-        moved = _step(best, task, weight, trust, program)
-        if moved is None:
-            break
-        tried = _look(moved, also, task, weight, float(ends.room.min(initial=np.inf)))
-        gain = best.merit - tried.merit
-        if gain > 0.0:
-            best = tried
-        if gain < LEAST_GAIN * best.merit:
-            trust *= 0.5
-            if trust < LEAST_TRUST_RAD:
-                break
-    return best.way
-
-
-def _step(
-    looked: _Looked, task: Task, weight: FloatArray, trust: float, program: SolverInterface
-) -> FloatArray | None:
-    """The way after one quadratic program about it, None where that has no solution.
-
-    Unknowns: the inner corners x, of each line what each coordinate travels t >= |step|, and of each line the
-    room s >= 0 that lacks most on it.
-    """
-    way, rooms, places = looked.way, looked.rooms, looked.places
-    lines, width = len(way) - 1, way.shape[1]
-    inner = (lines - 1) * width
-    count = inner + lines * width + lines
-    steps = sparse.kron(sparse.diags([1.0, -1.0], [0, -1], shape=(lines, lines - 1)), sparse.eye(width))
-    fixed = np.zeros((lines, width))
-    fixed[0], fixed[-1] = fixed[0] - way[0], fixed[-1] + way[-1]
-    travelled, none = sparse.eye(lines * width), sparse.csc_matrix((lines * width, lines))
-    row = rooms.row
-    k, share = places.move[row], places.share[row]
-    at = np.arange(len(row))
-    lacking = sparse.csc_matrix((np.ones(len(row)), (at, k)), shape=(len(row), lines))
-    parts = []
-    for corner, part in ((k - 1, 1.0 - share), (k, share)):
-        own = np.flatnonzero((corner >= 0) & (corner < lines - 1))
-        columns = corner[own, None] * width + np.arange(width)
-        values = part[own, None] * rooms.slope[own]
-        index = (np.repeat(own, width), columns.ravel())
-        parts.append(sparse.csc_matrix((values.ravel(), index), shape=(len(row), inner)))
-    slope = parts[0] + parts[1]
-    here = slope @ way[1:-1].ravel()
-    blocks: list[list[Any]] = [
-        [-steps, travelled, none],
-        [steps, travelled, none],
-        [slope, sparse.csc_matrix((len(row), lines * width)), lacking],
-    ]
-    matrix = sparse.bmat(blocks, format="csc")
-    least = np.concatenate([fixed.ravel(), -fixed.ravel(), looked.wanting + here])
-    square = sparse.diags(np.tile(weight**2, lines))
-    stiff = 2.0 * EVENNESS * lines * (steps.T @ square @ steps)
-    pull = 2.0 * EVENNESS * lines * (steps.T @ square @ fixed.ravel())
-    problem = MathematicalProgram()
-    unknown = problem.NewContinuousVariables(count)
-    problem.AddLinearConstraint(matrix, least, np.full(len(least), np.inf), unknown)
-    lower = np.maximum(way[1:-1] - trust, np.minimum(task.lower, way[1:-1])).ravel()
-    upper = np.minimum(way[1:-1] + trust, np.maximum(task.upper, way[1:-1])).ravel()
-    problem.AddBoundingBoxConstraint(lower, upper, unknown[:inner])
-    problem.AddBoundingBoxConstraint(0.0, np.inf, unknown[inner:])
-    problem.AddQuadraticCost(stiff.toarray(), pull, unknown[:inner], is_convex=True)
-    problem.AddLinearCost(np.ones(lines * width), unknown[inner : inner + lines * width])
-    problem.AddLinearCost(np.full(lines, ROOM_PRICE), unknown[inner + lines * width :])
-    result = program.Solve(problem)
-    if not result.is_success():
-        return None
-    out = way.copy()
-    out[1:-1] = np.clip(result.GetSolution(unknown[:inner]), lower, upper).reshape(lines - 1, width)
-    return out
+            blocked.add((i, j))
+    return np.array(points)

@@ -23,15 +23,13 @@ from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.motion import own_clearance
 from planner.motion.planning_scene import Begin, Scene, here
-from planner.motion.rrt import (
+from planner.motion.rrt import Places, blocked_places, connect
+from planner.motion.shortening import (
     MOST_MOVES,
     SAME_TRAVEL_RAD,
-    Places,
     Rooms,
     Task,
     bent,
-    blocked_places,
-    connect,
     shortened,
     travel,
 )
@@ -48,20 +46,18 @@ LONGER_SHARE: Final = 1.02
 """A way of a former plan that is mended gets longer by no more than this: the search for one that is ends as
 soon as it is, since a new one follows that is as short as can be."""
 
-NEAR_M = 0.1
-"""Bodies [m] that have more room than this do not count in one round of making a way shorter."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Ways:
     """Joint waypoints {arm: (M, 6)} with both ends, and the order in which the arms go. ``together``: they go
     at once, from each waypoint to the next in one move, and have as many. ``known``: they are those of a
-    former plan, but for their ends."""
+    former plan, but for their ends. ``shortened``: the arms whose own ways have been made shorter."""
 
     way: dict[str, FloatArray]
     order: tuple[str, ...]
     together: bool = False
     known: bool = False
+    shortened: frozenset[str] = frozenset()
 
 
 class BothWays:
@@ -200,7 +196,8 @@ def _improved(scene: Scene, ways: Ways, synchronised: bool) -> Ways:
     standing = {arm: scene.chains[arm].home for arm in ways.order}
     own = {}
     for arm in ways.order:
-        own[arm] = _Moving(scene, dict(standing), (arm,)).shorter(ways.way[arm])
+        way, moving = ways.way[arm], _Moving(scene, dict(standing), (arm,))
+        own[arm] = way if arm in ways.shortened else moving.shorter(way)
         standing[arm] = ways.way[arm][-1]
     ways = dataclasses.replace(ways, way=own)
     return _at_once(scene, ways) if synchronised and len(ways.order) > 1 else ways
@@ -262,19 +259,22 @@ def _ways(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]) 
     """Ways of arms that go in that order from home to the joints {arm: (6,)}, or which one has none."""
     standing = {arm: scene.chains[arm].home for arm in goal}
     ways: dict[str, FloatArray] = {}
+    mended: set[str] = set()
     for arm in order:
-        way = _way(scene, standing, arm, goal[arm])
-        if way is None:
+        found = _way(scene, standing, arm, goal[arm])
+        if found is None:
             return _Stuck(arm, goal[arm], standing)
-        ways[arm] = way
-        standing[arm] = goal[arm]
-    return Ways(ways, order)
+        ways[arm], standing[arm] = found[0], goal[arm]
+        mended |= {arm} if found[1] else set()
+    return Ways(ways, order, shortened=frozenset(mended))
 
 
-def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray) -> FloatArray | None:
+def _way(
+    scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray
+) -> tuple[FloatArray, bool] | None:
     """Waypoints (M, 6) of one arm from home to ``goal`` with the others where they stand; None if there is no
-    way. One that is not free between the postures that were looked at is mended; where that fails, which is
-    seldom, a finer search follows, which takes several times as long."""
+    way. One that is not free between the postures that were looked at is mended, which makes it shorter, as
+    is told; where that fails, which is seldom, a finer search follows, which takes several times as long."""
     chain = scene.chains[arm]
     hard, robot = scene.settings.joint_margin, chain.robot
     moving = _Moving(scene, standing, (arm,))
@@ -285,10 +285,10 @@ def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: Float
         if way is None:
             return None
         if not len(moving.blocked(way, False).move):
-            return way
+            return way, False
         mended = shortened(way, moving.task)
         if mended is not None:
-            return mended
+            return mended, True
     return None
 
 
@@ -373,16 +373,16 @@ class _Moving:
         step = FINE_STEP_M / max(self.scene.chains[arm].robot.reach for arm in self.arms) / len(self.arms)
         return blocked_places(way, self.free, step, self.sure, every)
 
-    def near(self, points: FloatArray) -> Rooms:
-        """The room [m] of bodies within :data:`NEAR_M` of what they keep, and of the axes of parallel-rod
-        arms."""
+    def near(self, points: FloatArray, within: float) -> Rooms:
+        """The room [m] of bodies that have less than ``within`` beyond what they keep, and of the axes of
+        parallel-rod arms."""
         model = self.scene.model
         row, room, slope = [np.zeros(0, dtype=np.intp)], [np.zeros(0)], [np.zeros((0, points.shape[1]))]
         if model is not None:
             wanted = self.scene.settings.clearance
             columns = np.concatenate([np.arange(model.home.size)[model.columns[arm]] for arm in self.arms])
             found = clearance.gradients_at(
-                model, model.stack(self.joints(points)), wanted + NEAR_M, self.resting
+                model, model.stack(self.joints(points)), wanted + within, self.resting
             )
             row.append(np.repeat(np.arange(len(found)), [len(near.distance) for near in found]))
             room += [near.distance - wanted for near in found]
@@ -437,7 +437,7 @@ class _Moving:
 
 LATER: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of the way of the arm that goes first after which the next one starts, tried one after the other."""
-AT_ONCE_LOOKS: Final = 2
+AT_ONCE_LOOKS: Final = 3
 """Last looks at a way of all arms at once: those that are found need no more."""
 PACE_M_S: Final = 0.25
 """Speed of tools [m/s] by which times of ways are told apart: that of programs on their ways in and out."""

@@ -12,7 +12,7 @@ from planner.cell import plant
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import from_parts, inverse
 from planner.issues import TandemError
-from planner.motion import rrt, transit
+from planner.motion import rrt, shortening, transit
 from planner.motion.operation import plan_operation
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import connect, way_free
@@ -99,20 +99,20 @@ RADIUS = 0.2
 """Of a disc about (0.5, 0) that a point has to go around."""
 
 
-def around_a_disc(looked: list[int]) -> rrt.Task:
+def around_a_disc(looked: list[int]) -> shortening.Task:
     def room(points: np.ndarray) -> np.ndarray:
         looked.append(len(points))
         return np.asarray(np.linalg.norm(points - [0.5, 0.0], axis=1) - RADIUS)
 
-    def near(points: np.ndarray) -> rrt.Rooms:
+    def near(points: np.ndarray, within: float) -> shortening.Rooms:
         away = points - [0.5, 0.0]
         slope = away / np.linalg.norm(away, axis=1)[:, None]
-        return rrt.Rooms(np.arange(len(points)), room(points), slope)
+        return shortening.Rooms(np.arange(len(points)), room(points), slope)
 
     def blocked(way: np.ndarray, every: bool) -> rrt.Places:
         return rrt.blocked_places(way, lambda points: room(points) > 0.0, 1e-3, None, every)
 
-    return rrt.Task(near, blocked, np.full(2, -2.0), np.full(2, 2.0), np.ones(2))
+    return shortening.Task(near, blocked, np.full(2, -2.0), np.full(2, 2.0), np.ones(2))
 
 
 def test_the_shortest_way_around_a_disc_goes_aside_by_its_radius_and_back() -> None:
@@ -120,17 +120,17 @@ def test_the_shortest_way_around_a_disc_goes_aside_by_its_radius_and_back() -> N
     detour = np.array([[0.0, 0.0], [0.1, 0.9], [0.8, 0.7], [1.2, 0.3], [1.0, 0.0]])
     looked: list[int] = []
     task = around_a_disc(looked)
-    found = rrt.shortened(detour, task)
+    found = shortening.shortened(detour, task)
     assert found is not None
-    assert len(found) - 1 <= rrt.MOST_MOVES
+    assert len(found) - 1 <= shortening.MOST_MOVES
     assert np.array_equal(found[[0, -1]], detour[[0, -1]])
-    assert 1.0 + 2.0 * RADIUS < rrt.travel(found) < 1.0 + 2.0 * RADIUS + 0.02
+    assert 1.0 + 2.0 * RADIUS < shortening.travel(found) < 1.0 + 2.0 * RADIUS + 0.02
     share = np.linspace(0.0, 1.0, 1500)[:, None]
     for a, b in itertools.pairwise(found):
         assert (np.linalg.norm(a + share * (b - a) - [0.5, 0.0], axis=1) > RADIUS).all()
-    most = rrt.ROUNDS + rrt.LAST_LOOKS * (rrt.REPAIR_ROUNDS + 2)
-    assert len(looked) < 3 * most * rrt.MOST_MOVES
-    again = rrt.shortened(detour, around_a_disc([]))
+    most = shortening.ROUNDS + shortening.LAST_LOOKS * (shortening.REPAIR_ROUNDS + 2)
+    assert len(looked) < 3 * most * shortening.MOST_MOVES
+    again = shortening.shortened(detour, around_a_disc([]))
     assert again is not None
     assert np.array_equal(found, again)
 
@@ -138,10 +138,10 @@ def test_the_shortest_way_around_a_disc_goes_aside_by_its_radius_and_back() -> N
 def test_a_way_of_no_length_and_a_missing_solver_have_no_shorter_way(monkeypatch: pytest.MonkeyPatch) -> None:
     task = around_a_disc([])
     point = np.zeros((2, 2))
-    still = rrt.shortened(point, task)
-    assert still is None or rrt.travel(still) == 0.0
-    monkeypatch.setattr(rrt, "solvers", list)
-    assert rrt.shortened(np.array([[0.0, 0.0], [0.5, 1.0], [1.0, 0.0]]), task) is None
+    still = shortening.shortened(point, task)
+    assert still is None or shortening.travel(still) == 0.0
+    monkeypatch.setattr(shortening, "solvers", list)
+    assert shortening.shortened(np.array([[0.0, 0.0], [0.5, 1.0], [1.0, 0.0]]), task) is None
 
 
 def hop() -> Targets:

@@ -63,11 +63,49 @@ def path_speeds(
         discretization_scheme=DiscretizationType.Interpolation,
     )
     constraints = [_Bound(limit), held] if corners is None else [_Bound(limit), held, _Corners(corners)]
-    solver = TOPPRA(constraints, _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
+    solver = Solver(constraints, _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
     _, found, _ = solver.compute_parameterization(0.0, 0.0)
     if found is not None and np.all(np.isfinite(found)) and np.all(found[1:-1] > 0.0):
         return np.asarray(found)
     return None
+
+
+class Solver(TOPPRA):  # type: ignore[misc]
+    """The package's solver with less around each of its linear programs, of which there are three a grid
+    point: what it does about them in arrays of two numbers takes as long as they do. Programs, their order
+    and so all results are its own."""
+
+    def compute_controllable_sets(self, sdmin: float, sdmax: float) -> FloatArray:
+        """The least and the greatest square (G, 2) of the path speed at each point from which an end between
+        these two speeds is reached; not finite where there is none."""
+        wrapper = self.solver_wrapper
+        out = np.zeros((self._N + 1, 2))
+        low, high = sdmin**2, sdmax**2
+        out[-1] = low, high
+        upper = np.zeros(wrapper.get_no_vars())
+        upper[:2] = 1e-9, -1.0  # as fast as can be, and of those with the least acceleration
+        lower = -upper
+        wrapper.setup_solver()
+        for i in range(self._N - 1, -1, -1):
+            after = low, high
+            high = wrapper.solve_stagewise_optim(i, None, upper, np.nan, np.nan, *after)[1]
+            low = wrapper.solve_stagewise_optim(i, None, lower, np.nan, np.nan, *after)[1]
+            if low < 0.0:
+                low = 0.0
+            out[i] = low, high
+            if low != low or high != high:
+                return out
+        wrapper.close_solver()
+        return out
+
+    def _forward_step(self, i: int, x: float, K_next: FloatArray) -> FloatArray:
+        if x != x:
+            return np.array([np.nan, np.nan])
+        faster = np.zeros(self.solver_wrapper.get_no_vars())
+        faster[:2] = -2.0 * self.solver_wrapper.get_deltas()[i], -1.0
+        return np.asarray(
+            self.solver_wrapper.solve_stagewise_optim(i, None, faster, x, x, K_next[0], K_next[1])
+        )
 
 
 class _Spline(AbstractGeometricPath):  # type: ignore[misc]
