@@ -314,9 +314,10 @@ def _one_way(each: Sequence[FloatArray], places: Sequence[FloatArray], far: floa
 
 
 def _level(half: FloatArray, height: float) -> FloatArray:
-    """The plane at a height [m] of a row as two rulings (2, 2, 3) that span its shorter side; it looks up."""
+    """The plane at a height [m] of a row as two rulings (2, 2, 3) that span its shorter side; its normal, the
+    way of the first ends times the rulings, is up: the slot is above the panels."""
     x, y = half.tolist()
-    corners = [[[x, -y], [-x, -y]], [[x, y], [-x, y]]]
+    corners = [[[-x, -y], [x, -y]], [[-x, y], [x, y]]]
     if y > x:
-        corners = [[[x, y], [x, -y]], [[-x, y], [-x, -y]]]
+        corners = [[[x, -y], [x, y]], [[-x, -y], [-x, y]]]
     return np.insert(np.array(corners), 2, height, axis=-1)

@@ -16,12 +16,12 @@ import yaml
 from planner import pipeline
 from planner.batch import run as batch
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
-from planner.element.rows import Limits, Piece, Row, Shape, rows_of
+from planner.element.rows import FRONTS, Limits, Piece, Row, Shape, rows_of
 from planner.geometry.cut_tree import Bow, CutTree
 from planner.geometry.line_nest import in_lines
 from tests.element.shells import shell
 from tests.element.test_run_report import data_of
-from tests.element.test_saw_jobs import KERF, SAW, jobs_of, upwards
+from tests.element.test_saw_jobs import KERF, SAW, jobs_of, planes, upwards
 from tests.element.walls import ROOT
 
 WALL = ROOT / "problems" / "ruled_wall_108" / "rows.yaml"
@@ -112,6 +112,8 @@ def test_the_front_of_all_is_one_plane_and_outlines_follow_from_the_top_on_edge(
         size = np.array(problem["stock"]["size_mm"])
         assert np.ptp(plane[..., 2]) == 0.0
         assert plane[0, 0, 2] == pytest.approx(150.0)
+        ((_, normal),) = planes(problem)
+        assert np.allclose(normal, [0.0, 0.0, 1.0])  # the slot is above the panels, none of it is theirs
         assert np.allclose(np.ptp(plane.reshape(-1, 3), axis=0)[:2], size[:2])
         assert upwards(problem)[2] == pytest.approx(1.0)
         up = upwards({"stock": outlines["setup"]})
@@ -180,6 +182,16 @@ PIECE = Shape(
     )
 )
 TREE = next(in_lines([(0.24, 0.24)] * 2, (0.24, 0.5), 0.002, False))[0]
+
+
+@pytest.mark.parametrize("block", [(0.24, 0.5), (0.5, 0.24)])
+def test_the_slot_that_takes_a_slab_to_its_thickness_is_above_its_panels(block: tuple[float, float]) -> None:
+    tree = next(trees[0] for trees in in_lines([(0.24, 0.24)] * 2, block, 0.002, True) if len(trees) == 1)
+    limits = Limits(Bow(0.65, 0.65), 0.02, 0.2, 0.013)
+    (row,) = rows_of(tree, [Piece(n, 0.1, PIECE) for n in "ab"], 0.12, limits)[0].values()
+    ((start, end),) = row.faces[FRONTS]
+    assert np.allclose([start[:, 2], end[:, 2]], 0.1)
+    assert np.cross(start[1] - start[0], end[0] - start[0])[2] > 0.0
 
 
 @pytest.mark.parametrize(
