@@ -29,8 +29,12 @@ ROOM: Final = 1e-3
 """Room [m] that is left between the wire and what bears a row beyond the clearance."""
 BEYOND: Final = 3e-3
 """Outlines go on beyond a front that is cut by this [m], where the foam does."""
+LEAST_OFF: Final = 2e-4
+"""Foam above panels that is thinner than this [m] is not cut off: sides have to cross the plane of fronts."""
 LEAST_BEARER: Final = 0.02
 """What bears a row is so long [m] at least in each place."""
+SLIP: Final = 1e-6
+"""Lengths [m] below this are rounding."""
 _BESIDE: Final = 0.005  # what is so far [m] beside a way in is out of it
 _WAYS: Final = 9  # of points of a wire that are looked at
 _STEP: Final = 1e-3  # between places that are looked at for what bears a row [m]
@@ -170,6 +174,9 @@ def _row(tree: CutTree, i: int, pieces: Sequence[Piece], thickness: float, limit
             return why
     elif any(curved) or max(thick) - min(thick) > SAME:
         return "they are not of one thickness, so their faces are in several planes"
+    elif SAME < thickness - thick[0] < LEAST_OFF - SLIP:
+        over = f"{(thickness - thick[0]) / MM:.2g} mm thicker than they are"
+        return f"the block is {over}: as thick, or {LEAST_OFF / MM:g} mm thicker, it would do"
     elif thickness - thick[0] > SAME and min(sides) + 2.0 * margin > bow.span:
         return _spans("across them, to their thickness", min(sides) + 2.0 * margin, 0.0, bow)
     return _borne(part, boxes, pieces, thickness, sorted(high, key=lambda k: (sides[k], k)), limits)
@@ -223,8 +230,12 @@ def _borne(
     elif thickness - own[0].thickness > SAME:
         thick = own[0].thickness
         # surfaces that bound a part together go on beyond one another
-        more = 1.0 + min(BEYOND, 0.5 * (thickness - thick)) / thick
+        more = 1.0 + min(BEYOND, thickness - thick) / thick
         outlines = [np.stack([ring[0], ring[0] + more * (ring[1] - ring[0])]) for ring in outlines]
+        out = max(float((np.abs(ring[..., :2]) - half).max()) for ring in outlines)
+        if out > SLIP:
+            more_foam = f"{out / MM:.2g} mm more foam beside them (foam_sides_mm)"
+            return f"their sides, which go on beyond the fronts, come out of the part; {more_foam} would do"
         faces[FRONTS] = [_level(half, thick)]
         beams = ((-float(half[along]), float(half[along])),)
     least = -np.inf

@@ -181,6 +181,7 @@ PIECE = Shape(
         [[[x, y, z] for x, y in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))] for z in (0.0, 0.1)]
     )
 )
+WIDE = Shape(PIECE.outline * [[[1.1, 1.0, 0.9]], [[1.2, 1.0, 0.9]]])
 TREE = next(in_lines([(0.24, 0.24)] * 2, (0.24, 0.5), 0.002, False))[0]
 
 
@@ -203,6 +204,8 @@ def test_the_slot_that_takes_a_slab_to_its_thickness_is_above_its_panels(block: 
         ((PIECE, PIECE), (0.1, 0.1), {"bow": Bow(0.13, 0.6)}, "takes a span of 140 mm, and the bow has 130"),
         ((PIECE, PIECE), (0.09, 0.09), {"bow": Bow(0.26, 0.6)}, "to their thickness takes a span of 280 mm"),
         ((PIECE, PIECE), (0.1, 0.1), {"room": 0.05}, "within 20.0 mm of what bears them"),
+        ((PIECE, PIECE), (0.0999, 0.0999), {}, "0.1 mm thicker than they are"),
+        ((WIDE, WIDE), (0.09, 0.09), {}, "come out of the part; 0.33 mm more foam beside them"),
     ],
 )
 def test_panels_that_are_no_row_are_told_why(
