@@ -60,7 +60,7 @@ def cut_surfaces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[WallFa
     found = []
     for one in written:
         cut = parts.get(f"cut_{one['name']}")
-        if cut is None:
+        if cut is None or not len(cut):
             continue
         points, normals = _written(one)
         far, at = cKDTree(points).query(cut)
@@ -79,18 +79,28 @@ def _of_row(
     """What is cut of a panel in a row, as a job of its own calls it: of faces what is nearest to the panel's,
     of the outline each point with the side that it is nearest to."""
     found: dict[str, FloatArray] = {}
-    trees = {str(one["name"]): cKDTree(_written(one)[0]) for one in written}
+    surfaces = {str(one["name"]): one for one in written}
     for face, whole in (("front", "cut_fronts"), ("back", "cut_backs")):
         if whole in parts:
-            far, _ = trees[face].query(parts[whole], distance_upper_bound=WRITTEN_STEP)
+            tree = cKDTree(_written(surfaces[face])[0])
+            far, _ = tree.query(parts[whole], distance_upper_bound=WRITTEN_STEP)
             found[f"cut_{face}"] = parts[whole][np.isfinite(far)]
     ring = [points for word, points in parts.items() if re.fullmatch(rf"cut_{name}(_\d+)?", word)]
     if ring:
         cut = np.concatenate(ring)
-        sides = [side for side in trees if side not in ("front", "back")]
-        near = np.argmin(np.stack([trees[side].query(cut)[0] for side in sides]), axis=0)
+        sides = [side for side in surfaces if side not in ("front", "back")]
+        near = np.argmin(np.stack([_off(surfaces[side], cut) for side in sides]), axis=0)
         found |= {f"cut_{side}": cut[near == k] for k, side in enumerate(sides)}
     return found
+
+
+def _off(ruled: Mapping[str, Any], cut: FloatArray) -> FloatArray:
+    """How far (V,) [m] points are off a surface as written: across it where they are beside it, else from
+    its nearest point. Points near a corner may be nearer to those that stand for a side than to the side."""
+    points, normals = _written(ruled)
+    far, at = cKDTree(points).query(cut)
+    across = np.abs(dots(cut - points[at], normals[at]))
+    return np.asarray(np.where(far <= WRITTEN_STEP, across, far))
 
 
 def _written(ruled: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:

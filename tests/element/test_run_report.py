@@ -19,6 +19,7 @@ import yaml
 from planner import plans
 from planner.cli import command_line
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
+from planner.element import wall_joints
 from planner.issues import Issue, TandemError
 from tests.element.shells import Written, shell, written
 from tests.element.test_strips import file as strips_file
@@ -390,3 +391,37 @@ def test_puzzle_pieces_have_no_joints_that_are_measured(tmp_path: Path) -> None:
     run_element(ElementRequest(wall(tmp_path, PUZZLE), tmp_path / "out"))
     (tmp_path / "summary.csv").write_text("name,state,issues,message\n")
     assert "puzzle pieces have none" in refusal(tmp_path / "out", tmp_path).message
+
+
+def test_what_is_cut_near_a_corner_is_of_its_own_side(tmp_path: Path) -> None:
+    """Two sides of a panel in a row that meet at a right angle: points that stand for the one are now and
+    then nearer to what is cut of the other, and were measured against it."""
+
+    def side(name: str, a: tuple[float, float], b: tuple[float, float]) -> dict[str, Any]:
+        ends = {"start": 0.0, "end": 100.0}
+        return {"name": name, **{k: {"polyline_mm": [[*a, z], [*b, z]]} for k, z in ends.items()}}
+
+    def face(name: str, z: float) -> dict[str, Any]:
+        ends = {"start": 0.0, "end": 100.0}
+        return {"name": name, **{k: {"polyline_mm": [[x, 0, z], [x, 100, z]]} for k, x in ends.items()}}
+
+    sides = [side("right", (100, -3), (100, 101.1)), side("top", (101.1, 100), (-3, 100))]
+    written = {"part": {"ruled": [face("front", 90.0), face("back", 10.0), *sides]}}
+    (tmp_path / "again").mkdir()
+    (tmp_path / "again" / "P0.yaml").write_text(yaml.safe_dump(written))
+    level = np.arange(0.0, 100.0, 7.0)
+    up = np.array([[100.0, y, z] for y in np.arange(90.0, 99.9, 0.25) for z in level])
+    plane = np.array([[x, y, 0.0] for x in np.arange(0.0, 100.0, 9.0) for y in np.arange(0.0, 100.0, 9.0)])
+    objects = {"fronts": plane + [0, 0, 90.0], "backs": plane + [0, 0, 10.0], "P0": up}
+    (tmp_path / "run" / "B1").mkdir(parents=True)
+    lines = [
+        line
+        for name, points in objects.items()
+        for line in (f"o cut_{name}", *(f"v {x} {y} {z}" for x, y, z in points.tolist()))
+    ]
+    (tmp_path / "run" / "B1" / "simulated_part.obj").write_text("\n".join(lines) + "\n")
+    pose = np.eye(4).tolist()
+    panel = {"id": "P0", "block_pose": pose, "cut_in": {"job": "B1", "pose": pose}}
+    cut = {one.name: one for one in wall_joints.cut_surfaces(tmp_path, tmp_path / "run", panel)}
+    assert max(float(np.abs(one.deviation).max(initial=0.0)) for one in cut.values()) < 1e-9
+    assert len(cut["right"].cut) == len(up)
