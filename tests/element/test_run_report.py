@@ -412,7 +412,7 @@ def test_what_is_cut_near_a_corner_is_of_its_own_side(tmp_path: Path) -> None:
     level = np.arange(0.0, 100.0, 7.0)
     up = np.array([[100.0, y, z] for y in np.arange(90.0, 99.9, 0.25) for z in level])
     plane = np.array([[x, y, 0.0] for x in np.arange(0.0, 100.0, 9.0) for y in np.arange(0.0, 100.0, 9.0)])
-    objects = {"fronts": plane + [0, 0, 90.0], "backs": plane + [0, 0, 10.0], "P0": up}
+    objects = {"fronts": plane + np.array([0, 0, 90.0]), "backs": plane + np.array([0, 0, 10.0]), "P0": up}
     (tmp_path / "run" / "B1").mkdir(parents=True)
     lines = [
         line
