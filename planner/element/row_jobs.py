@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from planner.reading import strict_yaml
 
 FACES, OUTLINES = "faces", "outlines"
 """Names of the operations."""
+TIED: Final = "Tie its layers together, spacers in their slots, before it is stood up."
+"""What the operator does where faces were cut: a thin layer has nothing below it as the row is on edge."""
 
 
 def _face(name: str, parts: Sequence[FloatArray]) -> dict[str, Any]:
@@ -114,7 +116,7 @@ def _problem(
     out["operations"] = [
         # what is above a slot must not drop before it is cut round
         operation(FACES, {"note": f"{whose}{flat.said}.", **given}, each_face, spacers=True),
-        operation(OUTLINES, {**stands, "note": round_them}, round_each),
+        operation(OUTLINES, {**stands, "note": f"{round_them} {TIED}"}, round_each),
     ]
     return out
 

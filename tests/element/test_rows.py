@@ -118,6 +118,7 @@ def test_the_front_of_all_is_one_plane_and_outlines_follow_from_the_top_on_edge(
         assert upwards(problem)[2] == pytest.approx(1.0)
         up = upwards({"stock": outlines["setup"]})
         assert abs(up[2]) < 1e-9
+        assert "Tie its layers together" in outlines["setup"]["note"]
         assert {cut["surface"] for cut in outlines["cuts"]} == set(job["panels"])
         cut = {one["name"]: rings(one) for one in problem["part"]["ruled"]}
         tops = [float((cut[one["surface"]] @ up).max()) for one in outlines["cuts"]]
