@@ -282,6 +282,31 @@ def a_question_left_out(rng, programs):
 
 
 @mutator("verify.dialogue")
+def an_operation_that_is_told_otherwise(rng, programs):
+    """The runner tells the operator what stands there."""
+    rows = rows_of(programs)
+    i = pick(rng, where(rows, "operation"))
+    other = pick(rng, [{"operation": "Reach in"}, {"setup": rows[i]["setup"] + 1}])
+    return changed(programs, i, **other)
+
+
+@mutator("verify.dialogue")
+def an_operation_too_many(rng, programs):
+    rows = rows_of(programs)
+    i = pick(rng, where(rows, "operation"))
+    return sealed(programs, [*rows, {**rows[i], "operation": "Reach in"}])
+
+
+@mutator("verify.dialogue")
+def another_tool_that_is_told(rng, programs):
+    """The right one is told behind it, so that moves have that."""
+    rows = rows_of(programs)
+    i = pick(rng, where(rows, "tool"))
+    other = pick(rng, [{"tool": "gripper"}, {"mass": 50.0}])
+    return sealed(programs, [*rows[:i], {**rows[i], **other}, *rows[i:]])
+
+
+@mutator("verify.dialogue")
 def no_time_to_heat(rng, programs):
     rows = rows_of(programs)
     i = where(rows, "dwell", on_failure=["doWirePower"])[0]

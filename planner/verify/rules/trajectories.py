@@ -3,6 +3,7 @@ points."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Final
 
@@ -12,18 +13,21 @@ from planner.geometry.arrays import FloatArray, IntArray, dots, exp_rotation, lo
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.job import TaskText
+from planner.verify.programs.operator_dialogue import on_panel
 from planner.verify.programs.steps import JointTarget, MoveStep, PassedTarget
 from planner.verify.replay.arm_model import machine_of
-from planner.verify.rules.setups_and_frames import HOME_ERROR
+from planner.verify.rules.setups_and_frames import HOME_ERROR, MASS_ERROR
 from planner.verify.trajectories.rows import (
     AskRow,
     AtRow,
     AwaitRow,
     DwellRow,
     MoveRow,
+    OperationRow,
     Program,
     Row,
     SetRow,
+    ToolRow,
 )
 
 SAME_POSTURE: Final = 1e-9
@@ -57,6 +61,43 @@ def _programs(context: Context) -> Iterator[tuple[TaskText, Program]]:
 
 def _at(code: str, message: str, program: Program, row: Row, hint: str | None = None) -> Issue:
     return Issue(code, message, file=program.file, line=row.line, hint=hint)
+
+
+def announced(context: Context) -> list[Issue]:
+    """Rows of operations and tools that tell the operator something else than the problem: each operation
+    once, by name and setup, right before its first move; each tool behind it, by name and mass."""
+    issues: list[Issue] = []
+    setups, code = context.setups, "verify.dialogue"
+    wanted = [(context.problem.operations[k].name, one.number) for one in setups for k in one.operations]
+    for _, program in _programs(context):
+        stands = {
+            step.line: setups[int(context.spans.of_stage[number])].number
+            for number, stage in enumerate(context.job.stages)
+            for arm in program.arms
+            for step in stage.moves(arm.arm)
+        }
+        due, now = iter(wanted), 0
+        for row, behind in itertools.zip_longest(program.rows, program.rows[1:]):
+            what = ""
+            if isinstance(row, OperationRow):
+                name, now = next(due, ("", 0))
+                if (row.operation, row.setup) != (on_panel(name) or "operation", now):
+                    what = f"operation {row.operation!r}, setup {row.setup}, is told; wanted: "
+                    what += f"{name!r}, setup {now}" if now else "no more"
+            elif isinstance(row, ToolRow) and 0 < now <= len(setups):
+                tool = setups[now - 1].cell.arm(row.arm).tool
+                if row.tool != tool.name or abs(row.mass - tool.mass) > MASS_ERROR:
+                    what = f"arm {row.arm} is told to have {row.tool}, {row.mass:g} kg; wanted: {tool.name}, "
+                    what += f"{tool.mass:g} kg"
+            elif isinstance(row, MoveRow) and stands.get(row.points[0].line, now) != now:
+                what = f"this move is in setup {stands[row.points[0].line]}; the operator was told setup {now}"
+            if isinstance(row, OperationRow | ToolRow) and not isinstance(behind, ToolRow | AtRow):
+                what = what or "behind an operation and its tools comes the look at the joints"
+            if what:
+                issues.append(_at(code, what, program, row))
+        if left := [name for name, _ in due]:
+            issues.append(_at(code, f"nothing tells of operation {left[0]!r}", program, program.rows[-1]))
+    return issues
 
 
 @rule("verify.start_posture")
