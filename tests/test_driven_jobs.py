@@ -152,6 +152,16 @@ def test_joints_of_one_name_are_refused_and_the_prefix_that_is_told_helps():
     assert write.programs(plan, dataclasses.replace(problem, cell=cell)) == driven_job.bent_programs()
 
 
+def test_joints_that_rows_cannot_name_are_refused_before_anything_is_planned(tmp_path):
+    problem = row(tmp_path, "panda")
+    (arm,) = problem.cell.arms
+    file = dataclasses.replace(arm.data.file, joints=("1st joint", *arm.data.file.joints[1:]))
+    arm = dataclasses.replace(arm, given=dataclasses.replace(arm.data, file=file))
+    odd = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=(arm,)))
+    (issue,) = pipeline.check(odd)
+    assert issue.code == "post.name" and "'1st joint'" in issue.message
+
+
 def test_a_held_block_and_a_torch_are_refused(tmp_path):
     path = PROBLEMS / "shell_piece_held" / "problem.yaml"
     source = yaml.safe_load(path.read_text("utf-8"))
