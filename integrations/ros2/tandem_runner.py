@@ -100,7 +100,27 @@ def proven(folder: Path) -> list[Row]:
     rows = rows_of(content)
     if rows[0].get("problem_digest") != proof.get("problem_digest"):
         raise StoppedError(f"{files[0]} was written for another problem than the proof is of")
+    _not_withdrawn(folder, proof.get("problem_digest"), named)
     return rows
+
+
+def _not_withdrawn(folder: Path, digest: Any, named: dict[str, Any]) -> None:
+    """Raise ``StoppedError`` where a service says, in a ``release.json`` that came with the result, that its
+    release was withdrawn, or where that is of other programs."""
+    for path in (folder / "release.json", folder / "programs" / "release.json"):
+        if not path.is_file():
+            continue
+        try:
+            data = json.loads(path.read_text("utf-8"))
+            same = data["digest"] == digest and dict(data["programs"]) == named
+            good = data["release"] is None or data["released"] is True
+            says = "".join(one for one in str(data["says"]) if one.isprintable())
+        except (ValueError, KeyError, TypeError) as error:
+            raise StoppedError(f"{path}: no release ({type(error).__name__}: {error})") from error
+        if not same:
+            raise StoppedError(f"{path} is of other programs: {says}")
+        if not good:
+            raise StoppedError(f"{path}: {says}")
 
 
 def rows_of(content: bytes) -> list[Row]:

@@ -195,6 +195,27 @@ def test_only_the_file_that_was_proven_is_run(tmp_path):
     assert runner.main([str(tmp_path / "nowhere")]) == 2
 
 
+@pytest.mark.parametrize("place", ["release.json", "programs/release.json"])
+def test_programs_whose_release_was_withdrawn_are_not_run(tmp_path, place):
+    folder = result(tmp_path)
+    proof = json.loads((folder / "proof.json").read_text())
+    given = {"digest": proof["problem_digest"], "programs": proof["programs"], "says": "withdrawn\x1b by A"}
+
+    def told(**values):
+        (folder / place).write_text(json.dumps({**given, **values}))
+        return runner.proven(folder)
+
+    assert told(released=True, release=1) == told(released=False, release=None) == rows()
+    for values, said in (
+        ({"released": False, "release": 1}, "withdrawn by A"),
+        ({"released": True, "release": 1, "programs": {}}, "other programs"),
+        ({"released": True, "release": 1, "digest": "0" * 64}, "other programs"),
+        ({"released": True}, "no release"),
+    ):
+        with pytest.raises(runner.StoppedError, match=said):
+            told(**values)
+
+
 class Future:
     """One that is done, unless its value is ``None``."""
 
