@@ -365,6 +365,35 @@ def a_stop_in_the_foam(rng, programs):
     return changed(programs, i, v=[0.0] * len(rows[i]["v"]))
 
 
+@mutator("verify.stop_in_foam")
+def a_stop_in_the_foam_that_is_not_called_one(rng, programs):
+    rows = rows_of(programs)
+    first = cuts(rows)[: len(cuts(rows)) // 2]
+    i = pick(rng, first[len(first) // 3 : -len(first) // 3])
+    return changed(programs, i, v=[1e-6 * value for value in rows[i]["v"]])
+
+
+@mutator("verify.stop_in_foam")
+def a_stop_between_points(rng, programs):
+    """From three times the mean speed to none and up again, at each point and in the middle between two."""
+    rows = rows_of(programs)
+    for i in cuts(rows):
+        rows[i]["v"] = [3.0 * value for value in rows[i]["v"]]
+    return sealed(programs, rows)
+
+
+@of_two("verify.stop_in_foam")
+def a_pause_before_the_foam(rng, programs):
+    """Three seconds, hot, at the edge of the block, where no feed is claimed."""
+    rows = rows_of(programs)
+    i = next(i for i in cuts(rows) if rows[i]["t"] > 0.0) + 4
+    rows[i]["v"] = [1e-9] * 12
+    late = [{**row, "t": round(row["t"] + 3.0, 6)} if "t" in row else row for row in rows[i + 1 :]]
+    end = next(k for k, row in enumerate(late) if not {"t", "segment"} & row.keys())
+    pause = {**rows[i], "t": round(rows[i]["t"] + 3.0, 6), "q": [value + 3e-9 for value in rows[i]["q"]]}
+    return sealed(programs, [*rows[: i + 1], pause, *late[:end], *rows[i + 1 + end :]])
+
+
 @mutator("verify.move_time")
 def points_too_near_to_one_another(rng, programs):
     rows = rows_of(programs)
