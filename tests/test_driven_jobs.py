@@ -109,6 +109,7 @@ def test_the_sheet_says_what_the_controller_must_have_and_nothing_is_uploaded(tm
     table = setup_sheet.controller_checks(made.problem, made.plan)
     assert "joint_trajectory_controller" in str(table) and "j1, j2, j3, j4, j5, j6, j7" in str(table)
     assert "RAPID" not in str(table)
+    assert "interpolate_from_desired_state" in str(table) and "4.12" in str(table)
     made.save(tmp_path / "out")
     assert pipeline.verify(problem, pipeline.read_programs(tmp_path / "out")).ok
     with pytest.raises(TandemError, match="runner"):
