@@ -109,6 +109,7 @@ def test_the_sheet_says_what_the_controller_must_have_and_nothing_is_uploaded(tm
     table = setup_sheet.controller_checks(made.problem, made.plan)
     assert "joint_trajectory_controller" in str(table) and "j1, j2, j3, j4, j5, j6, j7" in str(table)
     assert "RAPID" not in str(table)
+    assert "interpolate_from_desired_state" in str(table) and "4.12" in str(table)
     made.save(tmp_path / "out")
     assert pipeline.verify(problem, pipeline.read_programs(tmp_path / "out")).ok
     with pytest.raises(TandemError, match="runner"):
@@ -150,6 +151,16 @@ def test_joints_of_one_name_are_refused_and_the_prefix_that_is_told_helps():
     controller = dataclasses.replace(controller, **told)
     cell = dataclasses.replace(problem.cell, controller=controller)
     assert write.programs(plan, dataclasses.replace(problem, cell=cell)) == driven_job.bent_programs()
+
+
+def test_joints_that_rows_cannot_name_are_refused_before_anything_is_planned(tmp_path):
+    problem = row(tmp_path, "panda")
+    (arm,) = problem.cell.arms
+    file = dataclasses.replace(arm.data.file, joints=("1st joint", *arm.data.file.joints[1:]))
+    arm = dataclasses.replace(arm, given=dataclasses.replace(arm.data, file=file))
+    odd = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=(arm,)))
+    (issue,) = pipeline.check(odd)
+    assert issue.code == "post.name" and "'1st joint'" in issue.message
 
 
 def test_a_held_block_and_a_torch_are_refused(tmp_path):

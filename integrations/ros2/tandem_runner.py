@@ -36,6 +36,8 @@ ALIVE_HZ = 10.0
 """How often it says that it runs."""
 SUCCEEDED = 4
 """action_msgs/GoalStatus: the goal was reached."""
+ENDED = (SUCCEEDED, 5, 6)
+"""The same, or it was cancelled or aborted: nothing moves for it."""
 
 Row = dict[str, Any]
 
@@ -58,6 +60,9 @@ class Cell(Protocol):
 
     def cancel(self) -> None:
         """Cancel what moves, without waiting."""
+
+    def rests(self) -> bool:
+        """Whether what was cancelled has said that it ended; waits for it."""
 
     def switch(self, name: str, on: bool) -> None:
         """Switch an output, and be sure of it."""
@@ -95,7 +100,27 @@ def proven(folder: Path) -> list[Row]:
     rows = rows_of(content)
     if rows[0].get("problem_digest") != proof.get("problem_digest"):
         raise StoppedError(f"{files[0]} was written for another problem than the proof is of")
+    _not_withdrawn(folder, proof.get("problem_digest"), named)
     return rows
+
+
+def _not_withdrawn(folder: Path, digest: Any, named: dict[str, Any]) -> None:
+    """Raise ``StoppedError`` where a service says, in a ``release.json`` that came with the result, that its
+    release was withdrawn, or where that is of other programs."""
+    for path in (folder / "release.json", folder / "programs" / "release.json"):
+        if not path.is_file():
+            continue
+        try:
+            data = json.loads(path.read_text("utf-8"))
+            same = data["digest"] == digest and dict(data["programs"]) == named
+            good = data["release"] is None or data["released"] is True
+            says = "".join(one for one in str(data["says"]) if one.isprintable())
+        except (ValueError, KeyError, TypeError) as error:
+            raise StoppedError(f"{path}: no release ({type(error).__name__}: {error})") from error
+        if not same:
+            raise StoppedError(f"{path} is of other programs: {says}")
+        if not good:
+            raise StoppedError(f"{path}: {says}")
 
 
 def rows_of(content: bytes) -> list[Row]:
@@ -132,7 +157,7 @@ def steps(rows: Sequence[Row]) -> Iterator[tuple[Row, list[Row]]]:
 
 def run(rows: Sequence[Row], cell: Cell) -> None:
     """Go through a file. Raises ``StoppedError`` where it came to no end; then all outputs that were on are
-    off, or the message says which are not."""
+    off and the goal has ended, or the message says what is not so."""
     joints = [name for row in rows if "arm" in row and "joints" in row for name in row["joints"]]
     outputs = list(dict.fromkeys(row["set"] for row in rows if "set" in row))
     inputs = list(dict.fromkeys(row["await"] for row in rows if "await" in row))
@@ -143,9 +168,10 @@ def run(rows: Sequence[Row], cell: Cell) -> None:
         for row, points in steps(rows):
             _step(row, points, joints, cell, on)
     except BaseException as error:
-        left = _fallen(cell, list(dict.fromkeys([*on, *row.get("on_failure", [])])))
+        left, rests = _fallen(cell, list(dict.fromkeys([*on, *row.get("on_failure", [])])))
         what = str(error) or type(error).__name__
         what += f"; NOT SWITCHED OFF: {', '.join(left)}: take the power at once" if left else ""
+        what += "" if rests else "; THE ARMS MAY STILL MOVE: nothing says that the goal was cancelled"
         raise StoppedError(what) from error
     if on:
         _fallen(cell, on)
@@ -190,9 +216,9 @@ def _look(row: Row, joints: Sequence[str], cell: Cell) -> None:
             )
 
 
-def _fallen(cell: Cell, names: Sequence[str]) -> list[str]:
-    """Cancel what moves and switch off; the outputs of which that is not sure."""
-    left = []
+def _fallen(cell: Cell, names: Sequence[str]) -> tuple[list[str], bool]:
+    """Cancel what moves and switch off; the outputs of which that is not sure, and whether the arms rest."""
+    left, rests = [], False
     with contextlib.suppress(BaseException):  # outputs have to fall all the same
         cell.cancel()
     for name in names:
@@ -200,7 +226,9 @@ def _fallen(cell: Cell, names: Sequence[str]) -> list[str]:
             cell.switch(name, False)
         except BaseException:  # the next one has to fall all the same
             left.append(name)
-    return left
+    with contextlib.suppress(BaseException):  # behind the outputs: power does not wait for it
+        rests = cell.rests()
+    return left, rests
 
 
 # ---- ROS 2 ----
@@ -221,6 +249,9 @@ class RosCell:
         self.inputs: dict[str, bool] = {}
         self.services: dict[str, Any] = {}
         self.handle: Any = None
+        self.sent: Any = None
+        self.ends: Any = None
+        self.cancelled: Any = None
         self.stopped = False
         node.create_subscription(JointState, "/joint_states", self._heard, 10)
         alive = node.create_publisher(Empty, f"{prefix}/alive", 1)
@@ -263,30 +294,43 @@ class RosCell:
 
     def follow(self, joints: Sequence[str], move: Row, points: Sequence[Row]) -> None:
         """Send a goal, and wait for its end."""
-        sent = self.action.send_goal_async(goal_of(joints, move, points))
-        sent.add_done_callback(self._too_late)
-        self.handle = self._done(sent, ANSWER_S)
-        if not self.handle.accepted:
-            self.handle = None
+        self.sent = self.action.send_goal_async(goal_of(joints, move, points))
+        self.sent.add_done_callback(self._answered)
+        handle = self._done(self.sent, ANSWER_S)
+        if not handle.accepted:
+            self.sent = None
             raise StoppedError("the controller refuses the goal")
-        limit = points[-1]["t"] + move["goal_time"] + ANSWER_S
-        ended = self._done(self.handle.get_result_async(), limit)
+        self.handle, self.ends = handle, handle.get_result_async()
+        ended = self._done(self.ends, points[-1]["t"] + move["goal_time"] + ANSWER_S)
         if ended.status != SUCCEEDED or ended.result.error_code != 0:
             code, said = ended.result.error_code, ended.result.error_string
             raise StoppedError(f"the move did not end: status {ended.status}, error {code} {said}")
-        self.handle = None
+        self.sent = self.handle = self.ends = None
 
-    def _too_late(self, sent: Any) -> None:
-        """A goal that is accepted behind a stop is cancelled."""
-        if self.stopped and sent.result().accepted:
-            sent.result().cancel_goal_async()
+    def _answered(self, sent: Any) -> None:
+        """Keep a goal that is accepted; one that is accepted behind a stop is cancelled."""
+        with contextlib.suppress(Exception):  # else the thread ends that outputs are switched off by
+            handle = sent.result()
+            if handle.accepted and self.sent is sent:
+                self.handle = handle
+                if self.stopped:
+                    self.cancelled = handle.cancel_goal_async()
 
     def cancel(self) -> None:
         """Cancel the goal, if there is one, and any that is accepted yet."""
         self.stopped = True
         if self.handle is not None:
-            self.handle.cancel_goal_async()
-            self.handle = None
+            self.cancelled = self.handle.cancel_goal_async()
+
+    def rests(self) -> bool:
+        """Whether no goal is under way, by the controller's own answers."""
+        if self.sent is None:
+            return True
+        handle = self._done(self.sent, ANSWER_S)
+        if not handle.accepted:
+            return True
+        self._done(self.cancelled or handle.cancel_goal_async(), ANSWER_S)
+        return self._done(self.ends or handle.get_result_async(), ANSWER_S).status in ENDED
 
     def switch(self, name: str, on: bool) -> None:
         """Call the service of an output."""
@@ -367,7 +411,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     # its own handlers would end the services on Ctrl-C, before outputs are switched off
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for name in ("SIGTERM", "SIGHUP"):  # a terminal that is closed, or lost, is a stop too
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
     node = rclpy.create_node("tandem_runner")
     executor = MultiThreadedExecutor()
     executor.add_node(node)

@@ -29,6 +29,7 @@ from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
 from planner.post.steps import build
 from planner.post.trajectories import program as trajectories
+from planner.post.trajectories import rows as trajectory_rows
 from planner.post.urscript import program as ur_program
 from planner.problem import Arm, Problem, lights_torch, torch_signals
 from planner.targets import Targets
@@ -167,6 +168,12 @@ def _trajectory_refusals(problem: Problem, arms: Sequence[Arm]) -> list[Issue]:
                 field = "controller.joint_prefix"
                 issues.append(Issue("post.name", got, field=field, arm=arm.name, hint=hint))
                 break
+            if trajectory_rows.NAME.fullmatch(joint) is None:
+                got = f"{joint!r}, a joint of arm {arm.name}, cannot be named in a file of trajectories; "
+                got += "allowed: a letter, then letters, digits and _ / . -, 100 at most"
+                hint = "rename it in the URDF, or set a letter before it (controller: joint_prefix), and the "
+                hint += "same at the controller"
+                issues.append(Issue("post.name", got, arm=arm.name, hint=hint))
     holders = [name for name in dict.fromkeys(setup.stock.held_by for setup in problem.setups) if name]
     issues += [trajectories.no_load(name) for name in holders]
     lit = [operation for operation in problem.operations if lights_torch(operation)]

@@ -365,6 +365,11 @@ def _driven(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tuple[str
         ("its joints, in any order", ", ".join(names)),
         ("state interfaces", "position and velocity of all joints"),
         ("allow_nonzero_velocity_at_trajectory_end, allow_partial_joints_goal", "false"),
+        ("interpolate_from_desired_state (open_loop_control in Humble)", "true"),
+        (
+            "version of joint_trajectory_controller",
+            "2.37 (Humble), 4.12 (Jazzy), or later: before, it looks at no tolerances of goals",
+        ),
         ("joints of the URDF at the computer", "zero and turn as those that the job was planned with"),
         ("a hand on a joint while it moves slowly: ends the move", f"beyond {path:g} deg off its way"),
         ("behind each move all joints", f"within {goal:g} deg"),

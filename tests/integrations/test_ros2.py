@@ -63,6 +63,10 @@ class Cell:
     def cancel(self):
         self._call("cancel")
 
+    def rests(self):
+        self._call("rests")
+        return True
+
     def switch(self, name, on):
         if not on and name in self.broken:
             raise runner.StoppedError("no answer")
@@ -120,8 +124,23 @@ def test_whatever_fails_power_goes_off_and_nothing_more_moves(fails, said):
     names = [call[0] for call in cell.calls]
     stop = names.index("cancel")
     assert "follow" not in names[stop:] and "ask" not in names[stop:]
-    assert ("switch", "doWirePower", False) in cell.calls[stop:]
+    assert ("switch", "doWirePower", False) in cell.calls[stop:-1]
+    assert cell.calls[-1] == ("rests",)  # power does not wait for it
     assert not cell.on
+
+
+@pytest.mark.parametrize("how", [False, runner.StoppedError("no answer"), KeyboardInterrupt()])
+def test_a_goal_that_nobody_says_has_ended_is_told(how, monkeypatch):
+    cell = Cell({"follow": (2, KeyboardInterrupt())})
+
+    def rests():
+        if how is not False:
+            raise how
+        return False
+
+    monkeypatch.setattr(cell, "rests", rests)
+    with pytest.raises(runner.StoppedError, match="KeyboardInterrupt; THE ARMS MAY STILL MOVE"):
+        runner.run(rows(), cell)
 
 
 def test_an_output_that_does_not_fall_is_told():
@@ -176,7 +195,30 @@ def test_only_the_file_that_was_proven_is_run(tmp_path):
     assert runner.main([str(tmp_path / "nowhere")]) == 2
 
 
+@pytest.mark.parametrize("place", ["release.json", "programs/release.json"])
+def test_programs_whose_release_was_withdrawn_are_not_run(tmp_path, place):
+    folder = result(tmp_path)
+    proof = json.loads((folder / "proof.json").read_text())
+    given = {"digest": proof["problem_digest"], "programs": proof["programs"], "says": "withdrawn\x1b by A"}
+
+    def told(**values):
+        (folder / place).write_text(json.dumps({**given, **values}))
+        return runner.proven(folder)
+
+    assert told(released=True, release=1) == told(released=False, release=None) == rows()
+    for values, said in (
+        ({"released": False, "release": 1}, "withdrawn by A"),
+        ({"released": True, "release": 1, "programs": {}}, "other programs"),
+        ({"released": True, "release": 1, "digest": "0" * 64}, "other programs"),
+        ({"released": True}, "no release"),
+    ):
+        with pytest.raises(runner.StoppedError, match=said):
+            told(**values)
+
+
 class Future:
+    """One that is done, unless its value is ``None``."""
+
     def __init__(self, value):
         self.value = value
 
@@ -184,7 +226,8 @@ class Future:
         return self.value
 
     def add_done_callback(self, call):
-        call(self)
+        if self.value is not None:
+            call(self)
 
 
 class Message:
@@ -201,7 +244,7 @@ class Goal:
 def ros(monkeypatch):
     """Stand-ins for the names of ROS 2 that the runner uses."""
     said = types.SimpleNamespace(
-        goals=[], cancelled=0, status=4, code=0, accepted=True, switched=[], success=True
+        goals=[], cancelled=0, status=4, code=0, accepted=True, switched=[], success=True, answer=Message()
     )
 
     class Action:
@@ -217,6 +260,7 @@ def ros(monkeypatch):
 
             def cancel():
                 said.cancelled += 1
+                return Future(said.answer)
 
             return Future(
                 Message(
@@ -290,10 +334,59 @@ def test_a_goal_that_is_aborted_stops(ros, values, said):
     with pytest.raises(runner.StoppedError, match=said):
         ros.cell.follow(joints, move, points)
     ros.cell.cancel()
-    assert ros.cancelled == 1
+    assert ros.cancelled == 1 and ros.cell.rests()
     ros.status, ros.code = 4, 0
     ros.cell.follow(joints, move, points)  # accepted behind the stop: cancelled
-    assert ros.cancelled == 2
+    assert ros.cancelled == 2 and ros.cell.rests()
+
+
+def test_an_interrupted_goal_rests_where_the_controller_says_so(ros, monkeypatch):
+    move, points = {"path": [0.1], "goal": [0.1], "goal_time": 1.0}, [{"t": 1.0, "q": [0.0], "v": [0.0]}]
+    done = runner.RosCell._done
+
+    def interrupted(future, seconds):
+        raise KeyboardInterrupt
+
+    def stopped(**values):
+        ros.__dict__.update({"status": 5, "answer": Message(), **values})
+        ros.cell.cancelled = ros.cell.ends = None
+        ros.cell.stopped = False
+        monkeypatch.setattr(ros.cell, "_done", interrupted)
+        with pytest.raises(KeyboardInterrupt):  # before anybody looked at what the controller answered
+            ros.cell.follow(["a"], move, points)
+        monkeypatch.setattr(ros.cell, "_done", done)
+        before = ros.cancelled
+        ros.cell.cancel()
+        assert ros.cancelled == before + 1
+        return ros.cell.rests()
+
+    assert stopped()
+    assert not stopped(status=2)
+    monkeypatch.setattr(runner, "ANSWER_S", 0.01)
+    with pytest.raises(runner.StoppedError, match="no answer"):
+        stopped(answer=None)
+
+
+def test_a_terminal_that_is_closed_is_a_stop(ros, monkeypatch, tmp_path):
+    caught = {}
+    monkeypatch.setattr(runner.signal, "signal", caught.__setitem__)
+    rclpy = sys.modules["rclpy"]
+    node = types.SimpleNamespace()
+    for name in ("init", "shutdown"):
+        monkeypatch.setattr(rclpy, name, lambda **more: None, raising=False)
+    monkeypatch.setattr(rclpy, "create_node", lambda name: node, raising=False)
+    executor = Message(add_node=lambda one: None, spin=lambda: None, shutdown=lambda: None)
+    for name, values in (
+        ("rclpy.executors", {"MultiThreadedExecutor": lambda: executor}),
+        ("rclpy.signals", {"SignalHandlerOptions": Message(NO=0)}),
+    ):
+        module = types.ModuleType(name)
+        module.__dict__.update(values)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setattr(runner, "RosCell", lambda *given: Cell())
+    assert runner.main([str(result(tmp_path))]) == 0
+    wanted = [getattr(runner.signal, name) for name in ("SIGTERM", "SIGHUP")]
+    assert caught == dict.fromkeys(wanted, runner.signal.default_int_handler)
 
 
 def test_a_goal_that_is_refused_and_an_output_that_answers_no_stop(ros):

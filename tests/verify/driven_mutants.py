@@ -282,6 +282,31 @@ def a_question_left_out(rng, programs):
 
 
 @mutator("verify.dialogue")
+def an_operation_that_is_told_otherwise(rng, programs):
+    """The runner tells the operator what stands there."""
+    rows = rows_of(programs)
+    i = pick(rng, where(rows, "operation"))
+    other = pick(rng, [{"operation": "Reach in"}, {"setup": rows[i]["setup"] + 1}])
+    return changed(programs, i, **other)
+
+
+@mutator("verify.dialogue")
+def an_operation_too_many(rng, programs):
+    rows = rows_of(programs)
+    i = pick(rng, where(rows, "operation"))
+    return sealed(programs, [*rows, {**rows[i], "operation": "Reach in"}])
+
+
+@mutator("verify.dialogue")
+def another_tool_that_is_told(rng, programs):
+    """The right one is told behind it, so that moves have that."""
+    rows = rows_of(programs)
+    i = pick(rng, where(rows, "tool"))
+    other = pick(rng, [{"tool": "gripper"}, {"mass": 50.0}])
+    return sealed(programs, [*rows[:i], {**rows[i], **other}, *rows[i:]])
+
+
+@mutator("verify.dialogue")
 def no_time_to_heat(rng, programs):
     rows = rows_of(programs)
     i = where(rows, "dwell", on_failure=["doWirePower"])[0]
@@ -338,6 +363,35 @@ def a_stop_in_the_foam(rng, programs):
     first = cuts(rows)[: len(cuts(rows)) // 2]
     i = pick(rng, first[len(first) // 3 : -len(first) // 3])  # in the middle of the first cut
     return changed(programs, i, v=[0.0] * len(rows[i]["v"]))
+
+
+@mutator("verify.stop_in_foam")
+def a_stop_in_the_foam_that_is_not_called_one(rng, programs):
+    rows = rows_of(programs)
+    first = cuts(rows)[: len(cuts(rows)) // 2]
+    i = pick(rng, first[len(first) // 3 : -len(first) // 3])
+    return changed(programs, i, v=[1e-6 * value for value in rows[i]["v"]])
+
+
+@mutator("verify.stop_in_foam")
+def a_stop_between_points(rng, programs):
+    """From three times the mean speed to none and up again, at each point and in the middle between two."""
+    rows = rows_of(programs)
+    for i in cuts(rows):
+        rows[i]["v"] = [3.0 * value for value in rows[i]["v"]]
+    return sealed(programs, rows)
+
+
+@of_two("verify.stop_in_foam")
+def a_pause_before_the_foam(rng, programs):
+    """Three seconds, hot, at the edge of the block, where no feed is claimed."""
+    rows = rows_of(programs)
+    i = next(i for i in cuts(rows) if rows[i]["t"] > 0.0) + 4
+    rows[i]["v"] = [1e-9] * 12
+    late = [{**row, "t": round(row["t"] + 3.0, 6)} if "t" in row else row for row in rows[i + 1 :]]
+    end = next(k for k, row in enumerate(late) if not {"t", "segment"} & row.keys())
+    pause = {**rows[i], "t": round(rows[i]["t"] + 3.0, 6), "q": [value + 3e-9 for value in rows[i]["q"]]}
+    return sealed(programs, [*rows[: i + 1], pause, *late[:end], *rows[i + 1 + end :]])
 
 
 @mutator("verify.move_time")

@@ -24,7 +24,8 @@ JOINT_DECIMALS: Final = 9
 """Decimals of joints in rad and of their velocities in rad/s."""
 METRE_DECIMALS: Final = 7
 """Decimals of positions in m."""
-_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_/.-]{0,99}", re.ASCII)
+NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_/.-]{0,99}", re.ASCII)
+"""What may be a name in a row."""
 
 
 def row(values: Mapping[str, object]) -> str:
@@ -48,7 +49,7 @@ def text(value: str) -> str:
 
 def name(value: str) -> str:
     """A name as rows have them. Raises :class:`TandemError` (``post.name``) for what is none."""
-    if _NAME.fullmatch(value) is None:
+    if NAME.fullmatch(value) is None:
         message = f"{value!r} cannot name anything in a trajectory file"
         hint = "a letter, then letters, digits and _ / . -, 100 at most"
         raise TandemError(Issue("post.name", message, hint=hint))

@@ -32,6 +32,7 @@ from planner.verify.programs.operator_dialogue import (
 from planner.verify.programs.operator_dialogue import sentence_text as sentence_of
 from planner.verify.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
 from planner.verify.replay.motion import local
+from planner.verify.rules import trajectories
 from planner.verify.rules.straight_wire import guide_normals, off_guide
 from planner.verify.wire.wire_motion import Wire
 
@@ -79,7 +80,7 @@ def messages_and_questions(context: Context) -> Outcome:
     the task and at the place where it belongs, confirmed by one button, with the signals and waits between
     and every arm at rest; nothing else is shown, also in handlers."""
     found, said = wanted_dialogue(context), spoken_steps(context.job)
-    issues: list[Issue] = list(context.untold)
+    issues: list[Issue] = [*context.untold, *trajectories.announced(context)]
     for task in context.job.tasks:
         _, faults = _compared(task, found[task.name], said[task.name], found)
         issues += faults

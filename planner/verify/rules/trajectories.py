@@ -3,27 +3,31 @@ points."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, IntArray, dots, exp_rotation, log_rotation
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, exp_rotation, log_rotation
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.job import TaskText
+from planner.verify.programs.operator_dialogue import on_panel
 from planner.verify.programs.steps import JointTarget, MoveStep, PassedTarget
 from planner.verify.replay.arm_model import machine_of
-from planner.verify.rules.setups_and_frames import HOME_ERROR
+from planner.verify.rules.setups_and_frames import HOME_ERROR, MASS_ERROR
 from planner.verify.trajectories.rows import (
     AskRow,
     AtRow,
     AwaitRow,
     DwellRow,
     MoveRow,
+    OperationRow,
     Program,
     Row,
     SetRow,
+    ToolRow,
 )
 
 SAME_POSTURE: Final = 1e-9
@@ -43,6 +47,11 @@ _BACK: Final = 0.02e-3
 """How far [m] a tool may go back in one of them,"""
 _STANDS: Final = 0.1e-3
 """where points are farther apart than this [m]."""
+SLOW: Final = 0.1
+"""Below this share of the mean speeds beside it a point stands still, as a piece of the way between points
+does;"""
+STANDS: Final = 1e-4
+"""below this speed [rad/s] of its fastest joint an arm does on all of the way to a point."""
 _ROUNDED: Final = 1.0 + 1e-6
 _NONE: Final = "no trajectories"
 _AT_ONCE: Final = 16_384
@@ -57,6 +66,45 @@ def _programs(context: Context) -> Iterator[tuple[TaskText, Program]]:
 
 def _at(code: str, message: str, program: Program, row: Row, hint: str | None = None) -> Issue:
     return Issue(code, message, file=program.file, line=row.line, hint=hint)
+
+
+def announced(context: Context) -> list[Issue]:
+    """Rows of operations and tools that tell the operator something else than the problem: each operation
+    once, by name and setup, right before its first move; each tool behind it, by name and mass."""
+    issues: list[Issue] = []
+    setups, code = context.setups, "verify.dialogue"
+    wanted = [(context.problem.operations[k].name, one.number) for one in setups for k in one.operations]
+    for _, program in _programs(context):
+        stands = {
+            step.line: setups[int(context.spans.of_stage[number])].number
+            for number, stage in enumerate(context.job.stages)
+            for arm in program.arms
+            for step in stage.moves(arm.arm)
+        }
+        due, now = iter(wanted), 0
+        for row, behind in itertools.zip_longest(program.rows, program.rows[1:]):
+            what = ""
+            if isinstance(row, OperationRow):
+                name, now = next(due, ("", 0))
+                if (row.operation, row.setup) != (on_panel(name) or "operation", now):
+                    what = f"operation {row.operation!r}, setup {row.setup}, is told; wanted: "
+                    what += f"{name!r}, setup {now}" if now else "no more"
+            elif isinstance(row, ToolRow) and 0 < now <= len(setups):
+                tool = setups[now - 1].cell.arm(row.arm).tool
+                if row.tool != tool.name or abs(row.mass - tool.mass) > MASS_ERROR:
+                    what = f"arm {row.arm} is told to have {row.tool}, {row.mass:g} kg; wanted: {tool.name}, "
+                    what += f"{tool.mass:g} kg"
+            elif isinstance(row, MoveRow) and stands.get(row.points[0].line, now) != now:
+                what = (
+                    f"this move is in setup {stands[row.points[0].line]}; the operator was told setup {now}"
+                )
+            if isinstance(row, OperationRow | ToolRow) and not isinstance(behind, ToolRow | AtRow):
+                what = what or "behind an operation and its tools comes the look at the joints"
+            if what:
+                issues.append(_at(code, what, program, row))
+        if left := [name for name, _ in due]:
+            issues.append(_at(code, f"nothing tells of operation {left[0]!r}", program, program.rows[-1]))
+    return issues
 
 
 @rule("verify.start_posture")
@@ -224,6 +272,46 @@ def _uneven(context: Context, task: TaskText) -> list[Issue]:
             what = f"before this point the tool of {task.arm.name} goes {times:.1f} times as fast as in the "
             what += f"mean, and back by {back:.3f} mm; allowed: {UNEVEN:g} times, and {mm(_BACK):g} mm"
             out.append(at_step("verify.between_points", what, task, some[k][0]))
+    return out
+
+
+def standing(context: Context) -> BoolArray:
+    """Nodes (K,) at which, or on the way to which, arms that are driven by trajectories come so near to a
+    standstill that it is one, though no velocity of the text is 0."""
+    motion = context.motion
+    out = np.zeros(len(motion.node_stop), dtype=np.bool_)
+    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None, None]
+    for number, stage in enumerate(context.job.stages):
+        tasks = [t for t in context.job.tasks if t.trajectory is not None and stage.moves(t.name)]
+        moves = [stage.moves(task.name) for task in tasks]
+        if not tasks:
+            continue
+        here = motion.node_stage == number
+        nodes = np.flatnonzero(here & (motion.node_line[tasks[0].arm.name] > 0))
+        span = np.array([move.time or 1.0 for move in moves[0]])[:, None]
+        ends, rates = list[FloatArray](), list[FloatArray]()
+        for task, own in zip(tasks, moves, strict=True):
+            data, at = task.arm.data, np.searchsorted(motion.node, nodes[0])
+            q, v = [motion.q[task.arm.name][at]], [np.zeros(data.axes)]
+            for move in own:
+                passed = move.target if isinstance(move.target, PassedTarget) else None
+                v.append(v[0] if passed is None else passed.rates)
+                if passed is not None:
+                    q.append(passed.joints)
+                elif isinstance(move.target, JointTarget):
+                    q.append(data.from_controller(move.target.joints))
+            ends.append(np.array(q) / data.velocity)
+            rates.append(np.array(v) / data.velocity)
+        place, rate = np.concatenate(ends, axis=1), np.concatenate(rates, axis=1)
+        fastest = np.concatenate([task.arm.data.velocity for task in tasks])
+        mean = np.linalg.norm(np.diff(place, axis=0) / span, axis=1)
+        slow = np.linalg.norm(rate[1:-1], axis=1) < SLOW * np.minimum(mean[:-1], mean[1:])
+        a, b, va, vb = place[:-1], place[1:], rate[:-1], rate[1:]
+        way = a + share**2 * (3.0 - 2.0 * share) * (b - a)
+        way = way + span * share * (1.0 - share) * ((1.0 - share) * va - share * vb)
+        least = np.linalg.norm(np.diff(way, axis=0), axis=2).min(axis=0) * _PIECES / span[:, 0]
+        rests = np.abs(np.diff(place, axis=0) * fastest / span).max(axis=1) < STANDS
+        out[nodes] = np.append(slow, False) | (least < SLOW * mean) | rests
     return out
 
 

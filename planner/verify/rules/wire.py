@@ -19,6 +19,7 @@ from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sampl
 from planner.verify.job import TaskText, controllers
 from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.replay.motion import steps_across
+from planner.verify.rules import trajectories
 from planner.verify.wire.wire_motion import Wire, end_distances
 
 MOST_RESIDUAL = 1e-6
@@ -173,11 +174,13 @@ def contact(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 @rule("verify.stop_in_foam")
 def stop_in_foam(context: Context, wires: tuple[Wire, ...]) -> Outcome:
-    """The wire never stands still inside the block, or so near to it that it melts foam."""
+    """The wire never stands still inside the block, or so near to it that it melts foam; nor as good as
+    still, where trajectories state velocities."""
     issues = []
     motion = context.motion
+    stands = motion.node_stop | trajectories.standing(context)
     for wire in wires:
-        stops = np.isin(wire.sample, motion.node_sample[motion.node_stop])
+        stops = np.isin(wire.sample, motion.node_sample[stands])
         for k in np.flatnonzero(stops & (wire.depth > -MELTING_DISTANCE)):
             side = "inside" if wire.depth[k] > 0.0 else "off"
             message = f"the wire stops {mm(abs(wire.depth[k])):.2f} mm {side} the block"
