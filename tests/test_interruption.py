@@ -169,7 +169,7 @@ def test_a_full_disk_is_an_issue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_a_library_that_gives_up_ends_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Drake raises ``SystemExit`` where a condition of its own fails: here by its own function for that."""
 
-    def jobs(problem: Problem) -> list[object]:
+    def jobs(problem: Problem, brief: bool = False) -> list[object]:
         trigger_an_assertion_failure()
         return [problem]
 
