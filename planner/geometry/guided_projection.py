@@ -186,6 +186,7 @@ class _Work:
         self.knots, self.panels = len(pattern.place), len(middle)
         self.face = np.repeat(np.arange(self.panels), [len(ring) for ring in pattern.ring])
         self.knot = np.concatenate(pattern.ring)
+        self.factor: SuperLU | None = None
         self.tree = KDTree(surface.mesh.vertices / scale)
         self.place, self.upright = surface.mesh.vertices / scale, surface.normal
         self.rim = np.flatnonzero(pattern.on_rim)
@@ -302,7 +303,11 @@ class _Work:
         self._fair(rows, x, up)
         self._hinges(rows, x, w, n)
         matrix, rest = rows.matrix(len(self.z))
-        step = symmetric_factor(normal_equations(matrix, g.steady)).solve(matrix.T @ rest)
+        square, right = normal_equations(matrix, g.steady), matrix.T @ rest
+        step = None if self.factor is None else _by_former(square, right, self.factor)
+        if step is None:
+            self.factor = symmetric_factor(square)
+            step = self.factor.solve(right)
         self.z = self.z - step
         return np.abs(step)
 
@@ -397,10 +402,34 @@ _SETTLED: Final = 1e-4
 _RESTLESS: Final = 1e-3
 """Share of the unknowns that may move up to ten times as far then: knots half-way between two vertices of the
 surface go to and fro for ever."""
+_SOLVED: Final = 1e-9
+"""What is left of a system, over its right side, where it counts as solved."""
+_MOST_STEPS: Final = 10
+"""Steps of conjugate gradients at most: so many cost less than factors."""
 _SEEN: Final = 0.1
 """Height of the middle of a panel over the lines of its sides, in spacings."""
 _CONVEX: Final = 0.08
 """Sine of the least turn at a corner of a panel that is to be convex."""
+
+
+def _by_former(square: csc_array, right: FloatArray, factor: SuperLU) -> FloatArray | None:
+    """The solution of a symmetric positive system by conjugate gradients, led by the factors of a former one
+    much like it, or None where that takes longer than factors of its own."""
+    x, r = np.zeros_like(right), right.copy()
+    small = _SOLVED * float(np.linalg.norm(right))
+    z = factor.solve(r)
+    p, rz = z, float(r @ z)
+    for _ in range(_MOST_STEPS):
+        along = square @ p
+        a = rz / float(p @ along)
+        x += a * p
+        r -= a * along
+        if float(np.linalg.norm(r)) <= small:
+            return x
+        z = factor.solve(r)
+        rz, before = float(r @ z), rz
+        p = z + (rz / before) * p
+    return None
 
 
 def symmetric_factor(square: csc_array) -> SuperLU:
