@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array, vstack
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import LinearOperator, SuperLU, cg, splu
 from scipy.spatial import KDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, columns, dots, unit
@@ -415,21 +415,9 @@ _CONVEX: Final = 0.08
 def _by_former(square: csc_array, right: FloatArray, factor: SuperLU) -> FloatArray | None:
     """The solution of a symmetric positive system by conjugate gradients, led by the factors of a former one
     much like it, or None where that takes longer than factors of its own."""
-    x, r = np.zeros_like(right), right.copy()
-    small = _SOLVED * float(np.linalg.norm(right))
-    z = factor.solve(r)
-    p, rz = z, float(r @ z)
-    for _ in range(_MOST_STEPS):
-        along = square @ p
-        a = rz / float(p @ along)
-        x += a * p
-        r -= a * along
-        if float(np.linalg.norm(r)) <= small:
-            return x
-        z = factor.solve(r)
-        rz, before = float(r @ z), rz
-        p = z + (rz / before) * p
-    return None
+    former = LinearOperator(square.shape, factor.solve, dtype=np.float64)
+    step, missed = cg(square, right, rtol=_SOLVED, maxiter=_MOST_STEPS, M=former)
+    return None if missed else np.asarray(step)
 
 
 def symmetric_factor(square: csc_array) -> SuperLU:

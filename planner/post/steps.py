@@ -46,9 +46,17 @@ from planner.post.program import (
 )
 from planner.problem import OUTER_DECIMALS, Arm, Cell, Problem, Settings, Setup, Turntable
 from planner.targets import Action, Targets
+from planner.tooling import Tool
 
 LEAST_MASS = 0.001
 """Least mass [kg] of a load in RAPID."""
+
+
+def require_mass(tool: Tool, needs: str = "a load needs {} kg at least") -> None:
+    """Raises :class:`TandemError` (``post.tool``) for a tool without mass; ``needs``: what asks for it."""
+    if not tool.mass >= LEAST_MASS:
+        message = f"tool {tool.name!r} has a mass of {tool.mass} kg; {needs.format(LEAST_MASS)}"
+        raise TandemError(Issue("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more"))
 
 
 def carries(plan: Plan, problem: Problem) -> dict[int, dict[str, Carry]]:

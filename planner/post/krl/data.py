@@ -24,7 +24,7 @@ from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.krl.syntax import NAME_LENGTH, aggregate, e6axis, e6pos, frame, name, written
 from planner.post.program import Joints, Load, OperationProgram, TaskProgram, number
-from planner.post.steps import LEAST_MASS
+from planner.post.steps import require_mass
 from planner.tooling import Tool
 
 
@@ -35,9 +35,7 @@ def load_data(tool: Tool, held: Load | None) -> str:
     the centre of mass, and the principal axes and moments by the parallel axis theorem. Raises
     :class:`TandemError` (``post.tool``) for a tool without mass.
     """
-    if not tool.mass >= LEAST_MASS:
-        message = f"tool {tool.name!r} has a mass of {tool.mass} kg; a load needs {LEAST_MASS} kg at least"
-        raise TandemError(Issue("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more"))
+    require_mass(tool)
     mass, centre, axes, moments = tool.mass, np.asarray(tool.cog), np.eye(3), np.zeros(3)
     if held is not None:
         mass, centre, axes, moments = _together(tool, held)

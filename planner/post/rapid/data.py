@@ -28,7 +28,7 @@ from planner.post.program import (
     short,
 )
 from planner.post.rapid.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
-from planner.post.steps import LEAST_MASS, outer_names, outer_speeds
+from planner.post.steps import outer_names, outer_speeds, require_mass
 from planner.problem import BLIND_SPEED, OUTER_DECIMALS, Problem
 from planner.tooling import Tool
 
@@ -163,9 +163,7 @@ def data_lines(
 
 
 def _tool(tool: Tool) -> str:
-    if not tool.mass >= LEAST_MASS:
-        message = f"tool {tool.name!r} has a mass of {tool.mass} kg; RAPID needs at least {LEAST_MASS} kg"
-        raise TandemError(Issue("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more"))
+    require_mass(tool, "RAPID needs at least {} kg")
     load = f"[{number(tool.mass, 3)},{vector(tool.cog * 1e3, 3)},[1,0,0,0],0,0,0]"
     return f"[TRUE,{pose(tool.tcp)},{load}]"
 

@@ -31,7 +31,7 @@ from planner.post.program import (
     TaskProgram,
     kilobytes,
 )
-from planner.post.steps import LEAST_MASS
+from planner.post.steps import require_mass
 from planner.post.trajectories import rows
 from planner.post.trajectories.curves import Curve, Driven, NotKeptError, curve, way_time
 from planner.post.trajectories.rows import JOINT_DECIMALS, TIME_DECIMALS, row
@@ -139,12 +139,7 @@ class _Main:
         if self.tools.get(arm) is tool:
             return
         self.tools[arm] = tool
-        if not tool.mass >= LEAST_MASS:
-            message = (
-                f"tool {tool.name!r} has a mass of {tool.mass} kg; a load needs {LEAST_MASS} kg at least"
-            )
-            hint = f"state the tool's mass_kg, {LEAST_MASS} or more"
-            raise TandemError(Issue("post.tool", message, hint=hint))
+        require_mass(tool)
         values = {
             "tool": rows.name(tool.name),
             "arm": arm,

@@ -62,7 +62,7 @@ from planner.post.program import (
     number,
     short,
 )
-from planner.post.steps import LEAST_MASS
+from planner.post.steps import require_mass
 from planner.post.urscript import syntax
 from planner.post.urscript.syntax import comment, mark, name
 from planner.post.urscript.torches import Torch, torches
@@ -485,9 +485,7 @@ def no_load(arm: str) -> Issue:
 def _payload(tool: Tool) -> str:
     """The statement that tells mass [kg] and centre [m] in the flange's frame. Raises :class:`TandemError`
     (``post.tool``) for a tool without mass."""
-    if not tool.mass >= LEAST_MASS:
-        message = f"tool {tool.name!r} has a mass of {tool.mass} kg; a payload needs {LEAST_MASS} kg at least"
-        raise TandemError(Issue("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more"))
+    require_mass(tool, "a payload needs {} kg at least")
     return f"set_payload({number(tool.mass, 3)},{syntax.vector(np.asarray(tool.cog), 6)})"
 
 

@@ -22,6 +22,7 @@ from typing import Final
 
 import numpy as np
 
+from planner.catalogue.robots import RobotData
 from planner.geometry.arrays import (
     BoolArray,
     FloatArray,
@@ -377,11 +378,35 @@ def driven_joints(law: TimeLaw, start: FloatArray, row: Row, when: FloatArray) -
     q = np.concatenate([start[None], row.q])
     v = np.concatenate([np.zeros((1, q.shape[1])), row.rates])
     span = np.diff(law.times)[move][:, None]
-    t = (when - law.times[move])[:, None]
-    a, b, va, vb = q[move], q[move + 1], v[move], v[move + 1]
-    c2 = (3.0 * (b - a) - (2.0 * va + vb) * span) / span**2
-    c3 = (2.0 * (a - b) + (va + vb) * span) / span**3
-    return np.asarray(a + t * (va + t * (c2 + t * c3)))
+    share = (when - law.times[move])[:, None] / span
+    return cubic(q[move], q[move + 1], v[move], v[move + 1], span, share)
+
+
+def cubic(
+    a: FloatArray, b: FloatArray, va: FloatArray, vb: FloatArray, span: FloatArray, share: FloatArray
+) -> FloatArray:
+    """Joints (..., J) at shares (..., 1) of the time ``span`` (..., 1) [s] on cubics from ``a`` to ``b`` with
+    velocities ``va`` and ``vb`` (..., J) there (Hermite's)."""
+    way = a + share**2 * (3.0 - 2.0 * share) * (b - a)
+    return np.asarray(way + span * share * (1.0 - share) * ((1.0 - share) * va - share * vb))
+
+
+def driven_knots(
+    robot: RobotData, moves: Sequence[MoveStep], start: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Joints and velocities (N + 1, J) at which an arm is driven by N moves from rest at ``start`` (J,)."""
+    q, v = [start], [np.zeros(robot.axes)]
+    for move in moves:
+        match move.target:
+            case PassedTarget(joints=values, rates=rates):
+                q.append(values)
+                v.append(rates)
+            case JointTarget(joints=values):
+                q.append(robot.from_controller(values))
+                v.append(np.zeros(robot.axes))
+            case _:
+                raise TypeError("a move that trajectories do not state")
+    return np.array(q), np.array(v)
 
 
 def make_law(

@@ -19,9 +19,10 @@ from planner.issues import Issue, TandemError
 from planner.problem import Cell
 from planner.verify.context import Context, Outcome, at_node, at_sample, at_step, mm, rule
 from planner.verify.job import TaskText
-from planner.verify.programs.steps import MoveStep, PassedTarget, RobTarget, StatusTarget
+from planner.verify.programs.steps import MoveStep, RobTarget
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import singularity_distance
+from planner.verify.replay.moves import driven_knots
 from planner.verify.rules.setups_and_frames import at_home
 
 JOINT_JUMP = np.deg2rad(8.0)
@@ -375,31 +376,24 @@ def _straight(context: Context, arm: str) -> BoolArray:
 def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
     """The largest share of a limit that a joint of an arm needs on the cubics of its trajectories, of its
     ``speed`` or else of its acceleration, and the line of the point behind; exactly, whatever the samples."""
-    robot, here = task.arm.data, task.arm.home
-    worst, line = 0.0, 0
-    before = np.zeros(robot.axes)
-    for step in task.steps:
-        if not isinstance(step, MoveStep) or isinstance(step.target, RobTarget | StatusTarget):
-            continue
-        passed = isinstance(step.target, PassedTarget)
-        q = step.target.joints if passed else robot.from_controller(step.target.joints)
-        v = step.target.rates if isinstance(step.target, PassedTarget) else np.zeros(robot.axes)
-        span = max(step.time or 0.0, 1e-9)
-        mean = (q - here) / span
-        first, last = (
-            (6.0 * mean - 4.0 * before - 2.0 * v) / span,
-            (2.0 * before + 4.0 * v - 6.0 * mean) / span,
-        )
-        if speed:
-            turn = np.clip(first / np.where(first == last, np.inf, first - last), 0.0, 1.0)  # acceleration 0
-            middle = before + span * turn * (first + 0.5 * turn * (last - first))
-            share = np.abs(np.stack([before, v, middle])).max(axis=0) / robot.velocity
-        else:
-            share = np.maximum(np.abs(first), np.abs(last)) / robot.acceleration
-        if share.max() > worst:
-            worst, line = float(share.max()), step.line
-        here, before = q, v
-    return worst, line
+    robot = task.arm.data
+    steps = [step for step in task.steps if isinstance(step, MoveStep)]
+    if not steps:
+        return 0.0, 0
+    q, v = driven_knots(robot, steps, task.arm.home)
+    span = np.array([max(step.time or 0.0, 1e-9) for step in steps])[:, None]
+    mean, before, v = np.diff(q, axis=0) / span, v[:-1], v[1:]
+    first = (6.0 * mean - 4.0 * before - 2.0 * v) / span
+    last = (2.0 * before + 4.0 * v - 6.0 * mean) / span
+    if speed:
+        turn = np.clip(first / np.where(first == last, np.inf, first - last), 0.0, 1.0)  # acceleration 0
+        middle = before + span * turn * (first + 0.5 * turn * (last - first))
+        share = np.abs(np.stack([before, v, middle])).max(axis=0) / robot.velocity
+    else:
+        share = np.maximum(np.abs(first), np.abs(last)) / robot.acceleration
+    most = share.max(axis=1)
+    worst = int(np.argmax(most))
+    return float(most[worst]), steps[worst].line
 
 
 Models = Callable[[int], CellModel]

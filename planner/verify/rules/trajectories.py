@@ -14,14 +14,13 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.job import TaskText
 from planner.verify.programs.operator_dialogue import on_panel
-from planner.verify.programs.steps import JointTarget, MoveStep, PassedTarget
+from planner.verify.programs.steps import MoveStep, PassedTarget
 from planner.verify.replay.arm_model import machine_of
+from planner.verify.replay.moves import cubic, driven_knots
 from planner.verify.rules.setups_and_frames import HOME_ERROR, MASS_ERROR
 from planner.verify.trajectories.rows import (
-    AskRow,
     AtRow,
-    AwaitRow,
-    DwellRow,
+    MayFail,
     MoveRow,
     OperationRow,
     Program,
@@ -188,7 +187,7 @@ def power_on_failure(context: Context) -> Outcome:
                 on = {key: name for key, name in on.items() if key != row.signal.lower()}
                 if row.to:
                     on[row.signal.lower()] = row.signal
-            if not isinstance(row, AtRow | AskRow | AwaitRow | DwellRow | MoveRow):
+            if not isinstance(row, MayFail):
                 continue
             looked += 1
             named = {name.lower(): name for name in row.on_failure}
@@ -242,24 +241,17 @@ def _uneven(context: Context, task: TaskText) -> list[Issue]:
     it from station to station alone."""
     out: list[Issue] = []
     machine = machine_of(task.arm.data)
-    here, moves = task.arm.home, [step for step in task.steps if isinstance(step, MoveStep)]
-    rate = np.zeros(task.arm.data.axes)
-    pieces: list[tuple[MoveStep, FloatArray]] = []
+    moves = [step for step in task.steps if isinstance(step, MoveStep)]
+    q, v = driven_knots(task.arm.data, moves, task.arm.home)
+    passed = np.flatnonzero([isinstance(move.target, PassedTarget) for move in moves])
+    span = np.array([move.time or 0.0 for move in moves])[:, None, None]
     share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
-    ease = share**2 * (3.0 - 2.0 * share)
-    for move in moves:
-        if isinstance(move.target, PassedTarget):
-            end, span, ends = move.target.joints, move.time or 0.0, move.target.rates
-            q = here + ease * (end - here)
-            q = q + span * share * (1.0 - share) * ((1.0 - share) * rate - share * ends)
-            pieces.append((move, q))
-            here, rate = end, ends
-        elif isinstance(move.target, JointTarget):
-            here, rate = task.arm.data.from_controller(move.target.joints), np.zeros(task.arm.data.axes)
-    for first in range(0, len(pieces), _AT_ONCE // _PIECES):
-        some = pieces[first : first + _AT_ONCE // _PIECES]
-        tools = np.array([move.tool.pose for move, _ in some])[:, None]
-        place = (machine.flange(np.array([q for _, q in some])) @ tools)[..., :3, 3]
+    for first in range(0, len(passed), _AT_ONCE // _PIECES):
+        some = passed[first : first + _AT_ONCE // _PIECES]
+        a, b, va, vb = (knots[rows][:, None] for knots in (q, v) for rows in (some, some + 1))
+        joints = cubic(a, b, va, vb, span[some], share)
+        tools = np.array([moves[k].tool.pose for k in some.tolist()])[:, None]
+        place = (machine.flange(joints) @ tools)[..., :3, 3]
         way = place[:, -1] - place[:, 0]
         length = np.linalg.norm(way, axis=1)
         steps = np.diff(place, axis=1)
@@ -271,7 +263,7 @@ def _uneven(context: Context, task: TaskText) -> list[Issue]:
             times, back = fast[k] / length[k], mm(max(0.0, -float(along[k].min())))
             what = f"before this point the tool of {task.arm.name} goes {times:.1f} times as fast as in the "
             what += f"mean, and back by {back:.3f} mm; allowed: {UNEVEN:g} times, and {mm(_BACK):g} mm"
-            out.append(at_step("verify.between_points", what, task, some[k][0]))
+            out.append(at_step("verify.between_points", what, task, moves[int(some[k])]))
     return out
 
 
@@ -292,23 +284,14 @@ def standing(context: Context) -> BoolArray:
         ends, rates = list[FloatArray](), list[FloatArray]()
         for task, own in zip(tasks, moves, strict=True):
             data, at = task.arm.data, np.searchsorted(motion.node, nodes[0])
-            q, v = [motion.q[task.arm.name][at]], [np.zeros(data.axes)]
-            for move in own:
-                passed = move.target if isinstance(move.target, PassedTarget) else None
-                v.append(v[0] if passed is None else passed.rates)
-                if passed is not None:
-                    q.append(passed.joints)
-                elif isinstance(move.target, JointTarget):
-                    q.append(data.from_controller(move.target.joints))
-            ends.append(np.array(q) / data.velocity)
-            rates.append(np.array(v) / data.velocity)
+            q, v = driven_knots(data, own, motion.q[task.arm.name][at])
+            ends.append(q / data.velocity)
+            rates.append(v / data.velocity)
         place, rate = np.concatenate(ends, axis=1), np.concatenate(rates, axis=1)
         fastest = np.concatenate([task.arm.data.velocity for task in tasks])
         mean = np.linalg.norm(np.diff(place, axis=0) / span, axis=1)
         slow = np.linalg.norm(rate[1:-1], axis=1) < SLOW * np.minimum(mean[:-1], mean[1:])
-        a, b, va, vb = place[:-1], place[1:], rate[:-1], rate[1:]
-        way = a + share**2 * (3.0 - 2.0 * share) * (b - a)
-        way = way + span * share * (1.0 - share) * ((1.0 - share) * va - share * vb)
+        way = cubic(place[:-1], place[1:], rate[:-1], rate[1:], span, share)
         least = np.linalg.norm(np.diff(way, axis=0), axis=2).min(axis=0) * _PIECES / span[:, 0]
         rests = np.abs(np.diff(place, axis=0) * fastest / span).max(axis=1) < STANDS
         out[nodes] = np.append(slow, False) | (least < SLOW * mean) | rests

@@ -34,7 +34,6 @@ from planner.verify.programs.steps import (
     Zone,
 )
 from planner.verify.trajectories.rows import (
-    ArmRow,
     AskRow,
     AtRow,
     AwaitRow,
@@ -211,8 +210,3 @@ class _Runner:
 
 def _range(some: slice) -> range:
     return range(some.start, some.stop)
-
-
-def arm_row(program: Program, arm: str) -> ArmRow:
-    """What the file says of an arm."""
-    return next(row for row in program.arms if row.arm == arm)

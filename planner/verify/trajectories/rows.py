@@ -136,6 +136,10 @@ class MoveRow(Row):
     points: list[Point] = field(default_factory=list)
 
 
+MayFail = AtRow | AskRow | AwaitRow | DwellRow | MoveRow
+"""Rows of steps that may not end; ``on_failure`` names the outputs that fall then."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
     """A file: what it says of itself, its arms, and its rows behind them, a move with its points."""
@@ -283,13 +287,9 @@ def _signals(row: Row) -> tuple[str, ...]:
     match row:
         case SetRow(signal=name):
             return (name,)
-        case AwaitRow(signal=name, on_failure=falls):
-            return (name, *falls)
-        case AtRow(on_failure=falls) | AskRow(on_failure=falls) | DwellRow(on_failure=falls):
-            return falls
-        case MoveRow(on_failure=falls):
-            return falls
-    return ()
+        case AwaitRow(signal=name):
+            return (name, *row.on_failure)
+    return row.on_failure if isinstance(row, MayFail) else ()
 
 
 def _fits(row: Row, program: Program) -> None:
