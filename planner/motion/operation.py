@@ -391,6 +391,9 @@ def _driven(
     if len(bad):
         return None, "its moves come too near to something", bad
     cost = path_cost(scene, targets, values, q)
+    gain = LEAST_PROGRAM_GAIN * (1.0 if part is None else part.share)
+    if not cost < (1.0 - gain) * before.cost:  # before its clock, which takes longest
+        return None, f"it costs less by not even {100.0 * gain:.2g} %", none
     try:
         timed = _clock(scene, targets, samples, move_limits.slowed if seed.slowed else None, known)
         move_limits.require(scene, timed[0], samples, timed[1].time)
@@ -398,7 +401,7 @@ def _driven(
         return None, f"it cannot be driven: {error.issues[0].message}", none
     path = dataclasses.replace(before, values=values, q=q, cost=cost)
     driven = _Driven(path, samples, timed, seed.slowed)
-    reason = _worse(seed, driven, LEAST_PROGRAM_GAIN * (1.0 if part is None else part.share))
+    reason = _worse(seed, driven)
     return (None if reason else driven), reason, none
 
 
@@ -410,11 +413,9 @@ def _gains(seed: _Driven, driven: _Driven) -> dict[str, float]:
     return dict(zip(names, (gain, *shares), strict=True))
 
 
-def _worse(seed: _Driven, driven: _Driven, gain: float) -> str:
-    """In what a driven path is worse than the one that it was made from, empty where in nothing; it is to
-    cost less by the share ``gain``."""
-    if not driven.path.cost < (1.0 - gain) * seed.path.cost:
-        return f"it costs less by not even {100.0 * gain:.2g} %"
+def _worse(seed: _Driven, driven: _Driven) -> str:
+    """In what the clock of a path is worse than that of the one that it was made from, empty where in
+    nothing."""
     peaks = zip(("acceleration", "jerk"), seed.peaks(), driven.peaks(), strict=True)
     for name, before, after in peaks:
         if after > program.PEAK_SHARE * before:

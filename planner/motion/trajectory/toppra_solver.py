@@ -43,9 +43,10 @@ def _without_plots() -> Iterator[None]:
 
 
 with _without_plots():
-    from toppra.algorithm import TOPPRA
+    from toppra.constants import MAX_TRIES, SMALL, TINY
     from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
     from toppra.interpolator import AbstractGeometricPath
+    from toppra.solverwrapper import seidelWrapper
 
 
 def path_speeds(
@@ -63,49 +64,59 @@ def path_speeds(
         discretization_scheme=DiscretizationType.Interpolation,
     )
     constraints = [_Bound(limit), held] if corners is None else [_Bound(limit), held, _Corners(corners)]
-    solver = Solver(constraints, _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
-    _, found, _ = solver.compute_parameterization(0.0, 0.0)
-    if found is not None and np.all(np.isfinite(found)) and np.all(found[1:-1] > 0.0):
-        return np.asarray(found)
+    wrapper = seidelWrapper(constraints, _Spline(spline), grid, solve_lp1d=True)
+    reach = _stoppable(wrapper)
+    found = None if reach is None else _fastest(wrapper, reach)
+    if found is not None and all(square > 0.0 for square in found[1:-1]):
+        return np.sqrt(found)
     return None
 
 
-class Solver(TOPPRA):  # type: ignore[misc]
-    """The package's solver with less around each of its linear programs, of which there are three a grid
-    point: what it does about them in arrays of two numbers takes as long as they do. Programs, their order
-    and so all results are its own."""
+def _stoppable(wrapper: Any) -> list[tuple[float, float]] | None:
+    """The least and the greatest square of the path speed at each point from which the path can end at rest;
+    None where there is none.
 
-    def compute_controllable_sets(self, sdmin: float, sdmax: float) -> FloatArray:
-        """The least and the greatest square (G, 2) of the path speed at each point from which an end between
-        these two speeds is reached; not finite where there is none."""
-        wrapper = self.solver_wrapper
-        out = np.zeros((self._N + 1, 2))
-        low, high = sdmin**2, sdmax**2
-        out[-1] = low, high
-        upper = np.zeros(wrapper.get_no_vars())
-        upper[:2] = 1e-9, -1.0  # as fast as can be, and of those with the least acceleration
-        lower = -upper
-        wrapper.setup_solver()
-        for i in range(self._N - 1, -1, -1):
-            after = low, high
-            high = wrapper.solve_stagewise_optim(i, None, upper, np.nan, np.nan, *after)[1]
-            low = wrapper.solve_stagewise_optim(i, None, lower, np.nan, np.nan, *after)[1]
-            if low < 0.0:
-                low = 0.0
-            out[i] = low, high
-            if low != low or high != high:
-                return out
-        wrapper.close_solver()
-        return out
+    Here and in :func:`_fastest` are the package's linear programs, three a grid point, in its order and so
+    with its results, but less around each: what it does about them in arrays of two numbers takes longer than
+    they do.
+    """
+    last = wrapper.get_no_stages()
+    out = [(0.0, 0.0)] * (last + 1)
+    upper = np.array([1e-9, -1.0])  # as fast as can be, and of those with the least acceleration
+    lower = -upper
+    solve, low, high, free = wrapper.solve_stagewise_optim, 0.0, 0.0, float("nan")
+    for i in range(last - 1, -1, -1):
+        after = low, high
+        high = solve(i, None, upper, free, free, *after)[1]
+        low = solve(i, None, lower, free, free, *after)[1]
+        if low != low or high != high:
+            return None
+        low = max(low, 0.0)
+        out[i] = low, high
+    return out if low <= SMALL and high + SMALL >= 0.0 else None
 
-    def _forward_step(self, i: int, x: float, K_next: FloatArray) -> FloatArray:
-        if x != x:
-            return np.array([np.nan, np.nan])
-        faster = np.zeros(self.solver_wrapper.get_no_vars())
-        faster[:2] = -2.0 * self.solver_wrapper.get_deltas()[i], -1.0
-        return np.asarray(
-            self.solver_wrapper.solve_stagewise_optim(i, None, faster, x, x, K_next[0], K_next[1])
-        )
+
+def _fastest(wrapper: Any, reach: list[tuple[float, float]]) -> list[float] | None:
+    """Squares of the fastest path speeds from rest, within ``reach``; None where there are none. As the
+    package has it, each is a little less than its program allows, and where one has no solution it is asked
+    again from lower speeds."""
+    out, x = [0.0], 0.0
+    faster = np.array([0.0, -1.0])
+    solve = wrapper.solve_stagewise_optim
+    for i, (step, after) in enumerate(zip(wrapper.get_deltas().tolist(), reach[1:], strict=True)):
+        faster[0] = -2.0 * step
+        u = solve(i, None, faster, x, x, *after)[0]
+        for _ in range(MAX_TRIES):
+            if u == u:
+                break
+            x = out[-1] = max(x - TINY, 0.999 * x)
+            u = solve(i, None, faster, x, x, *after)[0]
+        if u != u:
+            return None
+        x += 2.0 * step * u
+        x = min(after[1], max(after[0], x - TINY, 0.9999 * x))
+        out.append(x)
+    return out
 
 
 class _Spline(AbstractGeometricPath):  # type: ignore[misc]

@@ -99,18 +99,30 @@ def test_the_same_long_path_has_the_same_answer() -> None:
 
 
 @pytest.mark.usefixtures("small")
+def test_windows_that_gain_too_little_are_refused_before_their_clock(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is too little beside what freedoms can change of the cost."""
+    monkeypatch.setattr(operation, "LEAST_PROGRAM_GAIN", 0.9)
+    monkeypatch.setattr(operation, "_worse", lambda *_: pytest.fail("a clock was made and looked at"))
+    _, plan = planned(160)
+    share = plan.metrics["program_share"]
+    assert plan.metrics["program_reason"] == f"it costs less by not even {90.0 * share:.2g} %"
+
+
+@pytest.mark.usefixtures("small")
 def test_windows_whose_path_is_worse_leave_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
     before = without_program(160)
-    asked: list[float] = []
+    asked: list[object] = []
 
-    def worse(seed: Any, driven: Any, gain: float) -> str:
-        asked.append(gain)
+    def worse(*given: object) -> str:
+        asked.append(given)
         return "its peak of joint jerk is 1.050 times as high"
 
+    monkeypatch.setattr(operation, "LEAST_PROGRAM_GAIN", 0.0)
     monkeypatch.setattr(operation, "_worse", worse)
     _, plan = planned(160)
     assert len(asked) == len(operation.WINDOWS_SHARES)
-    assert asked[0] == pytest.approx(operation.LEAST_PROGRAM_GAIN * plan.metrics["program_share"])
     assert plan.metrics["program_used"] is False
     assert plan.metrics["program_reason"] == "its peak of joint jerk is 1.050 times as high"
     assert all(np.array_equal(plan.q[arm], before.q[arm]) for arm in plan.q)
