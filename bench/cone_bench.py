@@ -5,7 +5,6 @@ and the proof's clearance beside one that measures every look.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
@@ -18,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench.proc import below, processor_time
+from bench.proc import ONE_THREAD, memory, planned
 from planner import pipeline, processes
 from planner.cell import clearance
 from planner.motion import solve
@@ -32,11 +31,8 @@ JOBS = ("cone_dpif_l", "cone_dpif_p")
 GOAL_S, GOAL_MB = {"cone_dpif_l": 60.0, "cone_dpif_p": 90.0}, 1000.0
 """Wanted wall time [s] of whole commands on two cores, by the job, and peak memory [MB] of the larger of a
 command's processes."""
-LOOK_AT_MEMORY_S = 0.05
-"""Time [s] between looks at the memory of a command's processes."""
 LOOKS = 4000
 """Looks, spread over the job, at which bounds and measured distances are compared."""
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 _Made = TypeVar("_Made")
 
 
@@ -47,7 +43,7 @@ def run() -> list[dict[str, Any]]:
     for name in JOBS:
         rows.append(whole(name))
         command = [sys.executable, "-m", "bench.cone_bench", name]
-        one = {**os.environ, **dict.fromkeys(_THREADS, "1")}
+        one = {**os.environ, **ONE_THREAD}
         done = subprocess.run(command, check=True, capture_output=True, text=True, env=one)
         rows += json.loads(done.stdout.splitlines()[-1])
     return rows
@@ -55,32 +51,15 @@ def run() -> list[dict[str, Any]]:
 
 def whole(name: str) -> dict[str, Any]:
     """A row of ``tandem plan``, cold, with its second process."""
-    one = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": str(Path(__file__).parents[1])}
-    time_of: dict[int, float] = {}
-    peak_of: dict[int, float] = {}
-    both, load = 0.0, os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-P", "-m", "planner", "plan", name, "-o", f"{folder}/out"]
-        start = time.perf_counter()
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=one)
-        while process.poll() is None:
-            now = 0.0
-            for pid in (process.pid, *below(process.pid)):
-                with contextlib.suppress(OSError, StopIteration):  # one that has just ended
-                    time_of[pid] = processor_time(pid)
-                    peak_of[pid] = _memory("VmHWM", pid)
-                    now += _memory("VmRSS", pid)
-            both = max(both, now)
-            time.sleep(LOOK_AT_MEMORY_S)
-        wall = time.perf_counter() - start
-    processor = " + ".join(f"{value:.1f}" for value in time_of.values())
-    peaks = " and ".join(f"{value:.0f}" for value in peak_of.values())
-    told = (
-        f"{'proven' if process.returncode == 0 else 'NOT proven'}, processor time {processor} s, peak memory "
-    )
-    told += f"{peaks} MB, together {both:.0f} MB, load before {load:.1f}"
-    told += f"; ratio is to the goal of {GOAL_S[name]:g} s, {GOAL_MB:g} MB are wanted"
-    return {"name": f"{name}: whole command", "median_s": wall, "ratio": wall / GOAL_S[name], "note": told}
+        ran = planned(name, f"{folder}/out")
+    told = f"{ran.told}; ratio is to the goal of {GOAL_S[name]:g} s, {GOAL_MB:g} MB are wanted"
+    return {
+        "name": f"{name}: whole command",
+        "median_s": ran.wall,
+        "ratio": ran.wall / GOAL_S[name],
+        "note": told,
+    }
 
 
 def stages(name: str) -> list[dict[str, Any]]:
@@ -92,7 +71,7 @@ def stages(name: str) -> list[dict[str, Any]]:
         start = time.process_time()
         made = work()
         took = time.process_time() - start
-        peak = _memory("VmHWM")
+        peak = memory("VmHWM")
         note = f"processor time; peak memory {peak:.0f} MB"
         rows.append({"name": f"{name}: {what}", "median_s": took, "peak_mb": peak, "note": note})
         return made
@@ -132,12 +111,6 @@ def _against_all(name: str, prover: Prover, context: Context) -> dict[str, Any]:
 
 def _forget_peak() -> None:
     Path("/proc/self/clear_refs").write_text("5")
-
-
-def _memory(what: str, pid: int | str = "self") -> float:
-    """Memory [MB] of a process: ``VmRSS`` now, ``VmHWM`` the peak since it was last forgotten."""
-    rows = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return float(next(row for row in rows if row.startswith(what)).split()[1]) / 1e3
 
 
 if __name__ == "__main__":

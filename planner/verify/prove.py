@@ -452,6 +452,7 @@ class Prover:
         run.add("verify.kerf", straight_wire.kerf(context, run.faces, wires))
         yield
         run.add("verify.part_file", part_file.part_file(context, sweeps, forming, milling))
+        del milling  # the tracks of a long job, beside which what follows would count
         yield
         run.add("verify.ridge", cut_part.ridges(context, wires))
         yield

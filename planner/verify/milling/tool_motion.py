@@ -38,6 +38,8 @@ BEND_SHARE = 0.1
 """Part of a tolerance that straight lines between places may leave the way by, where it bends."""
 _MOST_BENDS = 64
 """Rounds at most in which places are added at bends, one between two places each."""
+_PLACES_AT_ONCE = 16_384
+"""Places that are worked on at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,15 +47,22 @@ class Track:
     """T places of one arm in some segments, as near to one another as samples are, and on corners:
     ``rows`` (T,) of the motion's samples, the last ones before; ``tip``, ``axis`` (T, 3) [m] of the TCP and
     against its z axis, from tip to spindle, in the block's frame, and ``ahead`` (T, 3) its x axis; ``joined``
-    (T - 1,): the tool goes on to the next place; ``label`` (T,) of the move under way; ``time`` (T,) [s]."""
+    (T - 1,): the tool goes on to the next place; ``node`` (T,) the move under way, of which there are as many
+    as ``names`` (K,) of their segments; ``time`` (T,) [s]."""
 
     rows: IntArray
     tip: FloatArray
     axis: FloatArray
     joined: BoolArray
-    label: NDArray[np.str_]
+    node: IntArray
+    names: NDArray[np.str_]
     time: FloatArray
     ahead: FloatArray
+
+    @property
+    def label(self) -> NDArray[np.str_]:
+        """The label (T,) of the move under way; not kept, as there are many places."""
+        return self.names[self.node]
 
     def spaced(self, step: float, bend: float = np.inf) -> Spaced:
         """Tips and axes (M, 3), and rows (M,) of the motion, at places at most ``step`` [m] apart along the
@@ -128,11 +137,12 @@ def _between(ends: FloatArray, along: FloatArray, low: IntArray, at: FloatArray)
     return np.asarray(ends[low] + share * (ends[low + 1] - ends[low]))
 
 
-def in_block(track: Track, length: float, radius: float, stock: Stock) -> BoolArray:
-    """(T,) whether a cutter, as a row of balls along its axis, is in the block."""
-    out = np.zeros(len(track.rows), dtype=bool)
+def in_block(tip: FloatArray, axis: FloatArray, length: float, radius: float, stock: Stock) -> BoolArray:
+    """(T,) whether a cutter with ``tip`` and ``axis`` (T, 3) in the block's frame, as a row of balls along
+    its axis, is in the block."""
+    out = np.zeros(len(tip), dtype=bool)
     for back in np.append(np.arange(0.0, length, max(radius, 1e-3)), length):
-        at = track.tip + back * track.axis
+        at = tip + back * axis
         beyond = np.maximum(np.maximum(stock.lower - at, at - stock.upper), 0.0)
         # the first ball is the tip's end, a disk: less than its radius counts there
         near = 1e-6 if back == 0.0 else radius
@@ -244,20 +254,37 @@ class Milling:
             self._spaced[key] = self.track(index, arm, labels).spaced(step, BEND_SHARE * tolerance)
         return self._spaced[key]
 
+    def inside(self, index: int, arm: str, cutter: Cutter) -> tuple[IntArray, IntArray, FloatArray]:
+        """The samples (M,) of setup ``index`` at which the cutter on ``arm`` is in the block, or the last
+        ones before, with the moves (M,) under way and the times (M,) [s]."""
+        looks, stock = self.context.motion.looks, self.context.stock(index)
+        rows = np.flatnonzero(during(self.context.sample_setup[looks.sample] == index))
+        found = np.zeros(len(rows), dtype=bool)
+        for part, seen in self._seen(index, arm, rows):
+            tip, axis = seen[:, :3, 3], -seen[:, :3, 2]
+            found[part] = in_block(tip, axis, cutter.overhang, cutter.radius, stock)
+        rows = rows[found]
+        return looks.sample[rows], looks.node[rows], looks.time[rows]
+
     def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
         context, motion = self.context, self.context.motion
         names, looks = motion.node_label, motion.looks
         chosen = np.isin(names, labels)[looks.node] & (context.sample_setup[looks.sample] == index)
-        rows = np.flatnonzero(during(chosen))
-        sample = looks.sample[rows]
-        if arm not in motion.tcp or not len(rows):
-            none = np.zeros((0, 3))
-            return Track(sample, none, none, np.zeros(0, bool), np.zeros(0, "<U1"), np.zeros(0), none)
-        seen = inverse(context.stock_poses(index, looks.row[rows])) @ motion.poses(arm, looks.row[rows])
+        rows = np.flatnonzero(during(chosen)) if arm in motion.tcp else np.zeros(0, dtype=np.int64)
+        tip, axis, ahead = np.empty((3, len(rows), 3))
+        for part, seen in self._seen(index, arm, rows):
+            tip[part], axis[part], ahead[part] = seen[:, :3, 3], -seen[:, :3, 2], seen[:, :3, 0]
         joined = (np.diff(rows) == 1) & chosen[rows[1:]]
-        label = names[looks.node[rows]]
-        time, tip, axis, ahead = looks.time[rows], seen[:, :3, 3], -seen[:, :3, 2], seen[:, :3, 0]
-        return Track(sample, tip, axis, joined, label, time, ahead)
+        node, time = looks.node[rows], looks.time[rows]
+        return Track(looks.sample[rows], tip, axis, joined, node, names, time, ahead)
+
+    def _seen(self, index: int, arm: str, rows: IntArray) -> Iterator[tuple[slice, FloatArray]]:
+        """Poses (M, 4, 4) of the TCP in the block's frame at ``rows`` of the looks, part by part: of all at
+        once of a long job they would take more memory than all the rest of the proof."""
+        for first in range(0, len(rows), _PLACES_AT_ONCE):
+            part = slice(first, first + _PLACES_AT_ONCE)
+            own = self.context.motion.looks.row[rows[part]]
+            yield part, inverse(self.context.stock_poses(index, own)) @ self.context.motion.poses(arm, own)
 
 
 SIGHT_DISTANCE = 3e-3

@@ -103,7 +103,7 @@ def _way(
         yield at_sample(MILL_PATH, what, context.motion, claim.arm, int(track.rows[rows[i]]))
     if claim.lead is None:
         own = context.stock(index)
-        inside = in_block(track, claim.cutter.overhang, claim.cutter.radius, own)[rows]
+        inside = in_block(track.tip, track.axis, claim.cutter.overhang, claim.cutter.radius, own)[rows]
         for i in np.flatnonzero(inside & found.up & ~found.aside)[:1]:
             what = (
                 f"in {segment} the cutter comes into the block along its axis; it is to come from beside it"
@@ -486,33 +486,27 @@ def spindle(context: Context, milling: Milling) -> Outcome:
         for arm in setup.cell.arms:
             if not isinstance(arm.tool, Mill) or arm.name not in motion.tcp:
                 continue
-            cutter = arm.tool.cutter
-            labels = tuple(sorted(set(motion.node_label.tolist())))
-            track = milling.track(index, arm.name, labels)
-            inside = np.flatnonzero(in_block(track, cutter.overhang, cutter.radius, context.stock(index)))
+            rows, node, time = milling.inside(index, arm.name, arm.tool.cutter)
             if any(isinstance(c, TrimsSheet) and c.arm == arm.name for c in context.claims):
-                inside = inside[
-                    motion.node_kind[motion.node[track.rows[inside]]] != "trim"
-                ]  # of its own rule
-            if not len(inside):
+                other = motion.node_kind[motion.node[rows]] != "trim"  # which is of its own rule
+                rows, node, time = rows[other], node[other], time[other]
+            if not len(rows):
                 continue
             seen = True
-            stray = inside[motion.node_kind[motion.node[track.rows[inside]]] != MILL]
-            for i in stray[:1]:
-                what = f"the cutter is in the block in {track.label[i]}, where nothing is milled"
-                issues.append(at_sample("verify.spindle", what, motion, arm.name, int(track.rows[i])))
+            for i in np.flatnonzero(motion.node_kind[motion.node[rows]] != MILL)[:1]:
+                what = f"the cutter is in the block in {motion.node_label[node[i]]}, where nothing is milled"
+                issues.append(at_sample("verify.spindle", what, motion, arm.name, int(rows[i])))
             if not claims:
                 what = f"{arm.name} mills in setup {index + 1}, which claims no spindle"
-                issues.append(at_sample("verify.spindle", what, motion, arm.name, int(track.rows[inside[0]])))
+                issues.append(at_sample("verify.spindle", what, motion, arm.name, int(rows[0])))
             for claim in claims:
-                on = motion.on_for(claim.signal, context.switching((arm.name,)), track.time[inside])
+                on = motion.on_for(claim.signal, context.switching((arm.name,)), time)
                 for i in np.flatnonzero(on < claim.heat_up - 1e-6)[:1]:
                     got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
                     what = f"the cutter is in the block and {claim.signal} is {got} on; wanted: "
                     what += f"{claim.heat_up:g} s"
                     measure = (float(max(on[i], 0.0)), claim.heat_up, "s")
-                    row = int(track.rows[inside[i]])
-                    issues.append(at_sample("verify.spindle", what, motion, arm.name, row, measure))
+                    issues.append(at_sample("verify.spindle", what, motion, arm.name, int(rows[i]), measure))
     return Outcome(tuple(issues), nothing="" if seen else NOTHING_MILLED)
 
 

@@ -12,6 +12,7 @@ import pytest
 import planner
 from planner import processes
 from planner.geometry.arrays import FloatArray
+from planner.verify.milling import following, tool_motion
 from planner.verify.milling.tool_motion import Track, _with_bends
 from planner.verify.prove import Prover
 from planner.verify.replay import moves, playback
@@ -111,6 +112,15 @@ def test_a_zone_that_rounds_a_corner_too_far_is_found_at_every_phase(
         assert {path for path, _ in fine.verdicts(monkeypatch, programs)} == {holds}
 
 
+def test_what_is_found_hangs_not_on_how_many_places_are_worked_on_at_once(
+    fine: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = fine.prover.prove(fine.programs, last="verify.spindle").rules
+    for module in (tool_motion, following):
+        monkeypatch.setattr(module, "_PLACES_AT_ONCE", 7)
+    assert fine.prover.prove(fine.programs, last="verify.spindle").rules == whole
+
+
 def test_lines_between_looks_are_off_the_motion_by_micrometres() -> None:
     """Samples every 4 ms and the looks between them, against ten thousand places of the same motion."""
     rng = np.random.default_rng(0)
@@ -151,7 +161,8 @@ def test_places_of_a_track_leave_out_no_corner() -> None:
     axis = np.tile([0.0, 0.0, 1.0], (len(tip), 1))
     joined = rows[1:] != 250  # there the tool is elsewhere for a while
     ahead = np.tile([1.0, 0.0, 0.0], (len(tip), 1))
-    track = Track(rows, tip, axis, joined, np.full(len(tip), "mill/a"), 0.004 * rows, ahead)
+    node, names = np.zeros(len(tip), dtype=np.int64), np.array(["mill/a"])
+    track = Track(rows, tip, axis, joined, node, names, 0.004 * rows, ahead)
     for bend in (np.inf, 1e-5):
         places, _, _ = track.spaced(1e-3, bend)
         apart = np.linalg.norm(places[None] - corner[:, None], axis=2).min(axis=1)

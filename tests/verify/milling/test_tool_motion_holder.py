@@ -27,8 +27,9 @@ def _track() -> Track:
     axis = np.stack([1.3 * np.sin(7.0 * t), 1.2 * np.cos(4.0 * t), np.ones_like(t)], axis=1)
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     rows = np.arange(len(t))
-    label, ahead = np.full(len(t), "mill/wall"), np.tile([1.0, 0.0, 0.0], (len(t), 1))
-    return Track(rows, tip, axis, np.ones(len(t) - 1, bool), label, 0.1 * rows, ahead)
+    node, ahead = np.zeros(len(t), dtype=np.int64), np.tile([1.0, 0.0, 0.0], (len(t), 1))
+    joined, names = np.ones(len(t) - 1, bool), np.array(["mill/wall"])
+    return Track(rows, tip, axis, joined, node, names, 0.1 * rows, ahead)
 
 
 def _spared(vertices: Any) -> SparesPart:
