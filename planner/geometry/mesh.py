@@ -249,23 +249,23 @@ def corner_normals(mesh: TriangleMesh, crease: float) -> FloatArray:
 def small_pieces(corners: FloatArray, size: float, most: int) -> tuple[FloatArray, IntArray]:
     """Triangles (T, 3, 3) halved across their longest edges until none is longer than ``size`` (or ``most``
     pieces are reached): pieces (P, 3, 3) and the triangle (P,) that each belongs to."""
-    owner = np.arange(len(corners))
+    given, owner = corners, np.arange(len(corners))
     done: list[FloatArray] = []
     owners: list[IntArray] = []
     finished = 0
     while len(corners):
-        edges = np.empty_like(corners)
-        np.subtract(corners[:, 1:], corners[:, :2], out=edges[:, :2])
-        np.subtract(corners[:, 0], corners[:, 2], out=edges[:, 2])
-        one, two, three = np.ascontiguousarray(dots(edges, edges).T)
+        # edge by edge: all of them would take as much memory as the pieces
+        ways = (corners[:, end] - corners[:, start] for start, end in ((0, 1), (1, 2), (2, 0)))
+        one, two, three = (dots(way, way) for way in ways)
         most_of_two = np.maximum(one, two)
         # the first one of equals
         longest = np.where(three > most_of_two, 2, (two > one).astype(np.int64))
         fine = np.sqrt(np.maximum(most_of_two, three)) <= size
         fine |= finished + 2 * len(corners) > most
         kept, rows = np.flatnonzero(fine), np.flatnonzero(~fine)
-        done.append(corners.take(kept, axis=0))
-        owners.append(owner.take(kept))
+        if len(kept):
+            done.append(corners.take(kept, axis=0) if len(rows) or corners is given else corners)
+            owners.append(owner.take(kept))
         finished += len(kept)
         vertices, first, longest = corners.reshape(-1, 3), 3 * rows, longest.take(rows)
         corners = np.empty((2 * len(rows), 3, 3))
@@ -275,4 +275,5 @@ def small_pieces(corners: FloatArray, size: float, most: int) -> tuple[FloatArra
         near[:, 2] = far[:, 2] = vertices.take(first + (longest + 2) % 3, axis=0)
         near[:, 1] = far[:, 0] = 0.5 * (start + end)
         owner = np.tile(owner.take(rows), 2)
-    return np.concatenate(done), np.concatenate(owners)
+        del vertices, start, end
+    return (done[0], owners[0]) if len(done) == 1 else (np.concatenate(done), np.concatenate(owners))

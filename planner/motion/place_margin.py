@@ -5,13 +5,13 @@ postures on the best choice of branches, and how many of them have a free postur
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
 from planner.catalogue.robots import OffsetParameters, ParallelParameters, SevenParameters
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, IntArray
 from planner.motion import offset_wrist, seven_axes, three_parallel
 from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.subsampling import Few
@@ -133,17 +133,60 @@ def choice_scores(margins: Mapping[str, FloatArray], index: IndexArray) -> Float
     return np.asarray(least + 0.02 * np.where(least > 0.0, mean, np.minimum(mean, 0.0)))
 
 
-def count_free(scene: Scene, few: Few, q: Mapping[str, FloatArray], margin: FloatArray) -> int:
-    """How many of a few targets have a free posture among the samples with joints ``q`` {arm: (M, 6)} and a
-    ``margin`` (M,) above 0; those with most margin are looked at first."""
-    good = np.flatnonzero(margin > 0.0)
-    good = good[np.lexsort((-margin[good], few.index[good]))]
-    index = few.index[good]
-    rank = np.arange(len(good)) - np.searchsorted(index, index)
-    free = np.zeros(few.targets.count, dtype=np.bool_)
-    for some in (rank < LOOKED_FIRST, rank >= LOOKED_FIRST):
-        rows = np.flatnonzero(some & ~free[index])
-        if len(rows):
-            part = {arm: own[good[rows]] for arm, own in q.items()}
-            free[index[rows[scene.free(few.targets, part, index[rows])]]] = True
-    return int(free.sum())
+Choice = tuple[Mapping[str, FloatArray], FloatArray]
+"""A choice of branches: joints {arm: (M, 6)} of the samples of a few targets, and their margins (M,)."""
+
+
+def most_free(scene: Scene, few: Few, choices: Sequence[Choice], failed: IntArray) -> int:
+    """How many of a few targets have a free posture on the choice of branches on which the most have one,
+    among the samples with a margin above 0.
+
+    ``failed`` (N,): how often targets have had none so far, which is counted on. Of choices behind the first
+    one the targets that fail the most are asked at once, so many that one of them must be free where a choice
+    is to be better; what is left is asked where one is.
+    """
+    count = few.targets.count
+    most, hard = 0, np.zeros(0, dtype=np.intp)
+    known = np.zeros((len(choices), count), dtype=np.bool_)
+    for number, (_, margin) in enumerate(choices):
+        open_ = np.zeros(count, dtype=np.bool_)
+        open_[few.index[margin > 0.0]] = True
+        open_[hard] &= known[number, hard]
+        if open_.sum() <= most:
+            continue
+        open_[hard] = False
+        for low, high in ((0, LOOKED_FIRST), (LOOKED_FIRST, len(few.index))):
+            asked = open_ & ~known[number]
+            known[number] |= _free_at(scene, few, choices[number : number + 1], asked, low, high)[0]
+        failed[open_ & ~known[number]] += 1
+        most = max(most, int(known[number].sum()))
+        if most == count:
+            break
+        if not number and len(choices) > 1:
+            hard = np.argsort(-failed, kind="stable")[: count - most]
+            asked = np.isin(np.arange(count), hard)
+            known[1:] = _free_at(scene, few, choices[1:], asked, 0, len(few.index))
+            failed[hard] += (~known[1:, hard]).sum(axis=0)
+    return most
+
+
+def _free_at(
+    scene: Scene, few: Few, choices: Sequence[Choice], asked: BoolArray, low: int, high: int
+) -> BoolArray:
+    """Which (C, N) of the targets ``asked`` (N,) have a free posture on each of the choices, among the
+    samples from ``low`` to before ``high``, those with most margin first."""
+    out = np.zeros((len(choices), few.targets.count), dtype=np.bool_)
+    rows: list[IndexArray] = []
+    for _, margin in choices:
+        good = np.flatnonzero((margin > 0.0) & asked[few.index])
+        good = good[np.lexsort((-margin[good], few.index[good]))]
+        rank = np.arange(len(good)) - np.searchsorted(few.index[good], few.index[good])
+        rows.append(good[(rank >= low) & (rank < high)])
+    index = few.index[np.concatenate(rows)]
+    if len(index):
+        own = zip(choices, rows, strict=True)
+        parts = [{arm: value[some] for arm, value in q.items()} for (q, _), some in own]
+        q = {arm: np.concatenate([part[arm] for part in parts]) for arm in parts[0]}
+        free = scene.free(few.targets, q, index)
+        out[np.repeat(np.arange(len(rows)), [len(some) for some in rows])[free], index[free]] = True
+    return out

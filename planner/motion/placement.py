@@ -18,9 +18,9 @@ import numpy as np
 
 from planner.cell import clearance, support
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, IndexArray, exp_rotation, from_parts, log_rotation
+from planner.geometry.arrays import FloatArray, IndexArray, IntArray, exp_rotation, from_parts, log_rotation
 from planner.geometry.units import DEG
-from planner.motion.place_margin import choice_scores, count_free, margin, margins_at
+from planner.motion.place_margin import choice_scores, margin, margins_at, most_free
 from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.subsampling import Few, few_of, many_of, shifts
 from planner.problem import Cell, Settings, Stock
@@ -175,6 +175,7 @@ class Search:
         self._each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
         self._barred: set[int] = set()
         self._looked: list[tuple[float, FloatArray]] = []
+        self._failed: dict[int, IntArray] = {}
         self._look(shifted=False)
 
     def _look(self, shifted: bool) -> None:
@@ -519,17 +520,16 @@ class Search:
         scores = choice_scores(margins, few.index)[0]
         choices = np.argsort(-scores, kind="stable")
         choices = choices[scores[choices] > 0.0] if few.every_branch else choices[:1]
-        most = 0
+        offered = []
         for pair in choices:
             choice = np.unravel_index(pair, [margins[arm].shape[-1] for arm in few.targets.arms])
             least = np.min(
                 [margins[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)], axis=0
             )
             own = {a: q[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)}
-            most = max(most, count_free(scene, few, own, least))
-            if most == few.targets.count:
-                break
-        return most / few.targets.count
+            offered.append((own, least))
+        failed = self._failed.setdefault(id(few), np.zeros(few.targets.count, dtype=np.int64))
+        return most_free(scene, few, offered, failed) / few.targets.count
 
 
 def _quarters(points: FloatArray) -> IndexArray:

@@ -8,6 +8,7 @@ the same question has the same answer.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -149,31 +150,73 @@ def blocked_places(
     way: FloatArray, free: Free, step: float, sure: Sure | None = None, every: bool = True
 ) -> Places:
     """Where the lines are not free, as :func:`way_free` finds it: all places where looks fail, of which there
-    is one wherever a line is halved, too; or not ``every`` one, but those of the first that do."""
+    is one wherever a line is halved, too; or not ``every`` one, but those of the first that do.
+
+    A few points take hardly longer than one, so of few pieces their halves are asked about with them, and the
+    halves of these; what is found is the same.
+    """
     move = np.arange(len(way) - 1)
-    low, high = np.zeros(len(move)), np.ones(len(move))
+    pieces = _Pieces(move, np.zeros(len(move)), np.ones(len(move)))
     out = NOWHERE
-    while len(move):
-        middle = 0.5 * (low + high)
-        points = Places(move, middle).points(way)
-        half = 0.5 * (high - low)[:, None] * np.abs(way[move + 1] - way[move])
-        open_ = np.ones(len(move), dtype=bool) if sure is None else ~sure(points, half)
-        fine = half.max(axis=1) <= step
-        look, last = np.flatnonzero(open_), np.flatnonzero(open_ & fine)
-        if len(look):
-            asked = Places(np.append(move[look], move[last]), np.append(middle[look], high[last]))
-            bad = ~free(asked.points(way))
-            out = out.and_also(Places(asked.move[bad], asked.share[bad]))
-            if len(out.move) and not every:
-                break
-        split = open_ & ~fine
-        move = np.tile(move[split], 2)
-        low, high = np.append(low[split], middle[split]), np.append(middle[split], high[split])
-        if len(out.move) > MOST_BLOCKED:
-            break
+    while len(pieces.move):
+        generations = [pieces]
+        while sum(len(some.move) for some in generations) + 2 * len(generations[-1].move) <= ASKED_AHEAD:
+            generations.append(generations[-1].halves())
+        points = np.concatenate([some.middles(way) for some in generations])
+        reach = np.concatenate([some.half(way) for some in generations])
+        open_ = np.ones(len(points), dtype=bool) if sure is None else ~sure(points, reach)
+        fine = reach.max(axis=1) <= step
+        ends = np.cumsum([len(some.move) for some in generations])[:-1]
+        asked: list[Places] = []
+        own = np.arange(len(pieces.move))  # what is come to of a generation
+        for some, still, last in zip(generations, np.split(open_, ends), np.split(fine, ends), strict=True):
+            look, end = own[still[own]], own[(still & last)[own]]
+            middle = 0.5 * (some.low + some.high)
+            asked.append(
+                Places(np.append(some.move[look], some.move[end]), np.append(middle[look], some.high[end]))
+            )
+            split = own[(still & ~last)[own]]
+            own = np.append(split, split + len(some.move))
+        looked = functools.reduce(Places.and_also, asked)
+        bad = ~free(looked.points(way)) if len(looked.move) else np.zeros(0, dtype=bool)
+        for where, failed in zip(
+            asked, np.split(bad, np.cumsum([len(a.move) for a in asked])[:-1]), strict=True
+        ):
+            out = out.and_also(where.at(np.flatnonzero(failed)))
+            if (len(out.move) and not every) or len(out.move) > MOST_BLOCKED:
+                return out
+        pieces = generations[-1].halves().at(own)
     return out
 
 
+@dataclasses.dataclass(frozen=True)
+class _Pieces:
+    """Pieces of the lines ``move`` (P,) from their shares ``low`` to ``high`` (P,)."""
+
+    move: IndexArray
+    low: FloatArray
+    high: FloatArray
+
+    def at(self, some: IndexArray) -> _Pieces:
+        """Some of them."""
+        return _Pieces(self.move[some], self.low[some], self.high[some])
+
+    def halves(self) -> _Pieces:
+        """The first halves of all, then the second ones."""
+        middle = 0.5 * (self.low + self.high)
+        return _Pieces(np.tile(self.move, 2), np.append(self.low, middle), np.append(middle, self.high))
+
+    def middles(self, way: FloatArray) -> FloatArray:
+        """Their middles (P, D)."""
+        return Places(self.move, 0.5 * (self.low + self.high)).points(way)
+
+    def half(self, way: FloatArray) -> FloatArray:
+        """How far (P, D) coordinates go from there to their ends."""
+        return np.asarray(0.5 * (self.high - self.low)[:, None] * np.abs(way[self.move + 1] - way[self.move]))
+
+
+ASKED_AHEAD: Final = 64
+"""Pieces of a way that are asked about at once, where there are halves to be asked about with them."""
 MOST_BLOCKED: Final = 200
 """Places of a way that are not free after which no others are looked for."""
 

@@ -423,6 +423,8 @@ class Prover:
         envelopes = (self.begin if passes else at_once)(swept.envelopes, passes)
         for form_rule in FORMING_RULES:
             run.add(form_rule.code, form_rule(context, forming))
+            if run.long:  # what one leaves free would count beside what the next one needs
+                give_back()
             yield
         outcome, formed = forming_tool.formed(context, forming, envelopes)
         run.add("verify.formed", outcome)

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import NDArray
 
 from planner.claims.vocabulary import Segment
@@ -38,6 +39,22 @@ class Runs:
         if LEAST_RUN * np.count_nonzero(fresh) > len(vectors):
             return vectors
         return Runs(vectors[fresh], np.cumsum(fresh, dtype=np.int32) - np.int32(1))
+
+    @staticmethod
+    def joined(parts: Sequence[FloatArray | Runs]) -> FloatArray | Runs:
+        """Vectors behind each other, of parts as :meth:`of` gives them; none of them is spread out where they
+        take less memory as runs."""
+        if len(parts) == 1:
+            return parts[0]
+        values = [part.value if isinstance(part, Runs) else part for part in parts]
+        if LEAST_RUN * sum(map(len, values)) > sum(map(len, parts)):
+            return Runs.of(np.concatenate([part[:] for part in parts]))
+        starts = np.cumsum([0, *map(len, values)])[:-1]
+        which = [
+            (part.which if isinstance(part, Runs) else np.arange(len(part), dtype=np.int32)) + np.int32(start)
+            for part, start in zip(parts, starts.tolist(), strict=True)
+        ]
+        return Runs(np.concatenate(values), np.concatenate(which))
 
     def __len__(self) -> int:
         return len(self.which)
@@ -76,7 +93,7 @@ class Poses:
     def joined(parts: Iterable[Poses]) -> Poses:
         """Poses behind each other, to be read alone: a tool's axis stands for most of a long motion."""
         some = tuple(parts)
-        z = Runs.of(np.concatenate([part.z[:] for part in some]))
+        z = Runs.joined([part.z if isinstance(part.z, Runs) else Runs.of(part.z) for part in some])
         place, spin = (
             getattr(some[0], name)
             if len(some) == 1
@@ -106,6 +123,56 @@ class Poses:
         one, other = _across(z)
         self.place[rows], self.z[rows] = poses[..., :3, 3], z
         self.spin[rows] = np.arctan2(dots(x, other), dots(x, one))
+
+
+class Grown:
+    """Rows of one shape behind one another, of which more come. They are in one array from the start, with as
+    much room again behind them, which is not written and so takes no memory: where parts were joined, most of
+    a long motion would be there twice."""
+
+    def __init__(self, shape: tuple[int, ...] = (), dtype: npt.DTypeLike = np.float64) -> None:
+        self._rows, self._count = np.empty((0, *shape), dtype), 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def room(self, count: int) -> np.ndarray:
+        """``count`` more rows, to be written."""
+        first, self._count = self._count, self._count + count
+        if self._count > len(self._rows):
+            before = self._rows
+            self._rows = np.empty((2 * self._count, *before.shape[1:]), before.dtype)
+            self._rows[:first] = before[:first]
+        return self._rows[first : self._count]
+
+    def add(self, rows: np.ndarray) -> None:
+        """Add rows."""
+        self.room(len(rows))[:] = rows
+
+    @property
+    def all(self) -> np.ndarray:
+        """The rows so far."""
+        return self._rows[: self._count]
+
+
+class GrownPoses:
+    """Poses behind one another, of which more come: as :class:`Poses` that are read alone, from the start."""
+
+    def __init__(self) -> None:
+        self._place, self._spin = Grown((3,)), Grown()
+        self._z: list[FloatArray | Runs] = []
+
+    def add(self, poses: FloatArray) -> None:
+        """Add poses (S, 4, 4): some thousands at once, since all their axes are looked through."""
+        some = Poses.of(poses)
+        self._place.add(some.place)
+        self._spin.add(some.spin)
+        self._z.append(Runs.of(some.z[:]))
+
+    @property
+    def all(self) -> Poses:
+        """The poses so far."""
+        return Poses(self._place.all, Runs.joined(self._z), self._spin.all)
 
 
 def _across(z: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -560,10 +560,11 @@ SAMPLES_AT_ONCE = 32_768
 """Samples that are worked out at once."""
 
 
-def chunks(rows: IntArray, when: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
-    """Samples and their times, some thousands at once: what is worked out on the way needs much memory."""
-    for first in range(0, len(rows), SAMPLES_AT_ONCE):
-        yield rows[first : first + SAMPLES_AT_ONCE], when[first : first + SAMPLES_AT_ONCE]
+def chunks(first: int, last: int) -> Iterator[slice]:
+    """The samples from ``first`` to before ``last``, some thousands at once: what is worked out on the way
+    needs much memory."""
+    for begin in range(first, last, SAMPLES_AT_ONCE):
+        yield slice(begin, min(begin + SAMPLES_AT_ONCE, last))
 
 
 def samples_on_way(row: Row, a: int, b: int, start: FloatArray) -> tuple[FloatArray, FloatArray]:

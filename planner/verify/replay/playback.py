@@ -26,7 +26,7 @@ from planner.verify.job import JobText, Stage, TaskText
 from planner.verify.programs.program_text import segment_of_name
 from planner.verify.programs.steps import MoveStep, Step
 from planner.verify.replay import arm_model, inverse_kinematics, moves
-from planner.verify.replay.motion import Fault, Instants, Motion, Poses
+from planner.verify.replay.motion import Fault, Grown, GrownPoses, Instants, Motion, Poses
 from planner.verify.replay.moves import Riding, Row, between, dwell_time, make_law, make_row, needs_standstill
 
 SAMPLE_TIME = 0.004
@@ -75,11 +75,14 @@ class _Player:
         self.clock = 0.0
         self.nodes = 0
         self.parts: dict[str, list[np.ndarray]] = {}
+        self.time, self.node = Grown(), Grown(dtype=np.int32)
+        self.joints = {arm.name: Grown((len(arm.home),)) for arm in self.arms}
+        self.ridden = {name: Grown() for name in sorted(self.riders)}
         self.segments: list[Segment] = []
         self.events: list[tuple[float, int, str, Step]] = []
         self.faults: list[Fault] = []
         self.tools = {arm.name: arm.tool.tcp for arm in self.arms}
-        self.tcp: dict[str, list[Poses]] = {arm.name: [] for arm in self.arms}
+        self.tcp = {arm.name: GrownPoses() for arm in self.arms}
         self.between: dict[str, list[Poses]] = {arm.name: [] for arm in self.arms}
 
     def run(self) -> Motion:
@@ -97,14 +100,13 @@ class _Player:
             self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))
             self._still()
         give_back()  # what a long stage leaves free counts where its arrays are joined
-        ridden = {name: self._joined(f"ride/{name}") for name in sorted(self.riders)}
         p = {key: self._joined(key) for key in list(self.parts)}
         names = [arm.name for arm in self.arms]
         return Motion(
-            time=p["time"],
-            node=p["node"],
-            q={name: p[f"q/{name}"] for name in names},
-            tcp={name: Poses.joined(self.tcp.pop(name)) for name in names},
+            time=self.time.all,
+            node=self.node.all,
+            q={name: self.joints[name].all for name in names},
+            tcp={name: self.tcp[name].all for name in names},
             node_sample=p["node_sample"],
             node_segment=tuple(self.segments),
             node_stop=p["node_stop"],
@@ -123,7 +125,7 @@ class _Player:
                 p["between/node"],
                 {name: Poses.joined(self.between.pop(name)) for name in names},
             ),
-            ridden=ridden,
+            ridden={name: rows.all for name, rows in self.ridden.items()},
         )
 
     def _add(self, key: str, value: np.ndarray) -> None:
@@ -136,8 +138,8 @@ class _Player:
 
     def _still(self) -> None:
         """One sample at home, so that arrays have a row where nothing moves."""
-        self._add("time", np.zeros(1))
-        self._add("node", np.zeros(1, dtype=np.int32))
+        self.time.add(np.zeros(1))
+        self.node.add(np.zeros(1))
         for key in ("node_sample", "node_stage", "node_ids"):
             self._add(key, np.zeros(1, dtype=np.int64))
         self._add("between/time", np.zeros(0))
@@ -153,9 +155,10 @@ class _Player:
         """Rows of an arm that stands still: samples, nodes, and instants between samples."""
         q = self.q[arm.name]
         if arm.name in self.riders:
-            self._add(f"ride/{arm.name}", np.full(samples, self.gone.get(arm.name, (0.0, False))[0]))
-        self._add(f"q/{arm.name}", np.tile(q, (samples, 1)))
-        self.tcp[arm.name].append(Poses.of(np.tile(self._tcp(arm, q), (samples, 1, 1))))
+            self.ridden[arm.name].room(samples)[:] = self.gone.get(arm.name, (0.0, False))[0]
+        self.joints[arm.name].room(samples)[:] = q
+        for some in moves.chunks(0, samples):
+            self.tcp[arm.name].add(np.tile(self._tcp(arm, q), (some.stop - some.start, 1, 1)))
         self.between[arm.name].append(Poses.of(np.tile(self._tcp(arm, q), (between, 1, 1))))
         self._add(f"line/{arm.name}", np.zeros(nodes, dtype=np.int64))
         self._add(f"conf_q/{arm.name}", np.full((nodes, 6), np.nan))
@@ -265,10 +268,10 @@ class _Player:
         start = self.clock
         shift = np.cumsum(pauses)
         self._events(number, movers, logic_steps, start + law.times + np.concatenate([[0.0], shift[:-1]]))
-        clock = start + at + shift[move]
-        first = sum(len(part) for part in self.parts.get("time", []))
-        self._add("time", clock)
-        self._add("node", (self.nodes + move).astype(np.int32))
+        first = len(self.time)
+        self.time.add(start + at + shift[move])
+        self.node.add(self.nodes + move)
+        del move  # of a long stage as much as its clock
         self._add("node_sample", first + node_at)
         self._add("node_stop", stop[1:])
         self._add("node_stage", np.full(count, number, dtype=np.int64))
@@ -299,7 +302,7 @@ class _Player:
                 self._play(played, law, at, looks)
             else:
                 carrier = by_arm.get(played.carrier)
-                self._play(played, law, at, looks, self._carried(played, carrier, before, look_move))
+                self._play(played, law, at, looks, self._carried(played, carrier, before, look_move, len(at)))
         self.nodes += count
         self.clock = start + total + float(shift[-1]) + SAMPLE_TIME
 
@@ -327,13 +330,18 @@ class _Player:
         return np.asarray(inverse(flange @ row.ride) @ here)
 
     def _carried(
-        self, row: Row, carrier: Row | None, before: Mapping[str, FloatArray], look_move: IntArray
+        self,
+        row: Row,
+        carrier: Row | None,
+        before: Mapping[str, FloatArray],
+        look_move: IntArray,
+        count: int,
     ) -> _Carried:
-        """The frame that carries a row's work: at the last samples of its arm, at the start, at nodes, and at
-        instants between samples, when the moves ``look_move`` (C,) are under way."""
+        """The frame that carries a row's work: at the last ``count`` samples of its arm, at the start, at
+        nodes, and at instants between samples, when the moves ``look_move`` (C,) are under way."""
         name = str(row.carrier)
         machine, base = self.robots[name], self.bases[name]
-        samples = base @ machine.flange(self.parts[f"q/{name}"][-1]) @ row.ride
+        samples = base @ machine.flange(self.joints[name].all[-count:]) @ row.ride
         start = base @ machine.flange(before[name]) @ row.ride
         if carrier is None or carrier.carrier is not None:
             nodes = np.tile(start, (len(row.moves), 1, 1))
@@ -375,54 +383,54 @@ class _Player:
         if row.rates is not None:
             self._drive(row, law, at, looks)
             return
-        q, gone = np.empty((len(at), 6)), np.zeros(len(at))
+        q = self.joints[name].room(len(at))
         edges = [0, *(np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1), count]
         here = self.q[name]
-        tcp, seen = Poses.empty(len(at)), Poses.empty(len(looks))
+        tcp, seen = self.tcp[name], Poses.empty(len(looks))
         conf_q, conf_ok = np.full((count, 6), np.nan), np.ones(count, dtype=bool)
         for a, b in itertools.pairwise(edges):
-            inside = (
-                (at >= law.times[a]) & (at <= law.times[b])
-                if a == 0
-                else (at > law.times[a]) & (at <= law.times[b])
-            )
-            if b == count:
-                inside |= at > law.times[b]
+            begun = 0 if a == 0 else int(np.searchsorted(at, law.times[a], side="right"))
+            ended = len(at) if b == count else int(np.searchsorted(at, law.times[b], side="right"))
             part = moves.TimeLaw(
                 law.times[a : b + 1], law.rate_in[a:b], law.rate_out[a:b], _ends_closed(law.window[a : b + 1])
             )
-            when = np.minimum(at[inside], law.times[b])
             looked = np.flatnonzero((looks > law.times[a]) & (looks <= law.times[b]))
             if row.joint[a]:
                 nodes = np.concatenate([here[None], row.q[a:b]])
                 at_node, xi = moves.offsets(part, np.diff(nodes, axis=0), looks[looked])
                 base = row.base_on_way(part, a, b, looks[looked])
                 seen[looked] = base @ row.robot.flange(nodes[at_node] + xi) @ row.tool[a]
-                at_node, xi = moves.offsets(part, np.diff(nodes, axis=0), when)
-                q[inside] = nodes[at_node] + xi
-                base = row.base_on_way(part, a, b, when)
-                tcp[inside] = base @ row.robot.flange(q[inside]) @ row.tool[a]
+                for some in moves.chunks(begun, ended):
+                    when = np.minimum(at[some], law.times[b])
+                    at_node, xi = moves.offsets(part, np.diff(nodes, axis=0), when)
+                    q[some] = nodes[at_node] + xi
+                    base = row.base_on_way(part, a, b, when)
+                    tcp.add(base @ row.robot.flange(q[some]) @ row.tool[a])
                 end = row.q[b - 1]
             else:
-                first = begin if a == 0 else self._own(row, a, carried, here, int(np.argmax(inside)))
+                first = begin if a == 0 else self._own(row, a, carried, here, begun)
                 branch = moves.branches_on_way(row, a, b, here)
                 nodes, delta = moves.samples_on_way(row, a, b, first)
-                for some, moments in moves.chunks(looked, looks[looked]):
-                    path = moves.poses_on_way(part, nodes, delta, moments)
-                    seen[some] = path if carried is None else carried.between[some] @ path
+                for some in moves.chunks(0, len(looked)):
+                    own = looked[some]
+                    path = moves.poses_on_way(part, nodes, delta, looks[own])
+                    seen[own] = path if carried is None else carried.between[own] @ path
                 end = here
-                for some, moments in moves.chunks(np.flatnonzero(inside), when):
-                    path = moves.poses_on_way(part, nodes, delta, moments)
+                for some in moves.chunks(begun, ended):
+                    when = np.minimum(at[some], law.times[b])
+                    path = moves.poses_on_way(part, nodes, delta, when)
                     path = path if carried is None else carried.samples[some] @ path
-                    tcp[some] = path
-                    q[some] = moves.joints_on_way(row, part, a, branch, end, moments, path)
-                    end = q[some[-1]]
+                    tcp.add(path)
+                    q[some] = moves.joints_on_way(row, part, a, branch, end, when, path)
+                    end = q[some.stop - 1].copy()
                 if b < count:  # what goes on begins where the way ends, which is between two samples
                     last = law.times[b : b + 1]
                     path = moves.poses_on_way(part, nodes, delta, last)
                     path = path if carried is None else carried.nodes[b - 1 : b] @ path
                     end = moves.joints_on_way(row, part, a, branch, end, last, path)[0]
-            gone[inside] = row.gone_on_way(part, a, b, when)
+            if name in self.riders:
+                when = np.minimum(at[begun:ended], law.times[b])
+                self.ridden[name].add(row.gone_on_way(part, a, b, when))
             if not row.joint[a] and row.named[a:b].all() and not row.robot.followed:
                 base = row.base_behind(slice(a + 1, b + 1))
                 flange = inverse(base) @ world[a:b] @ inverse(row.tool[a:b])
@@ -445,12 +453,8 @@ class _Player:
                 row,
                 i,
             )
-            q = np.where(np.isfinite(q), q, here if np.isfinite(here).all() else self.q[name])
-            here = q[-1]
-        self._add(f"q/{name}", q)
-        if name in self.riders:
-            self._add(f"ride/{name}", gone)
-        self.tcp[name].append(tcp)
+            q[:] = np.where(np.isfinite(q), q, here if np.isfinite(here).all() else self.q[name])
+            here = q[-1].copy()
         self.between[name].append(seen)
         self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
         self._add(f"conf_q/{name}", conf_q)
@@ -463,14 +467,13 @@ class _Player:
         """The motion of one arm in a goal that drives its joints."""
         name, count = row.task.arm.name, len(row.moves)
         start, tool = self.q[name], row.tool[0]
-        q, tcp, seen = np.empty((len(at), row.q.shape[1])), Poses.empty(len(at)), Poses.empty(len(looks))
-        for some, when in moves.chunks(np.arange(len(at)), at):
-            q[some] = moves.driven_joints(law, start, row, when)
-            tcp[some] = row.base @ row.robot.flange(q[some]) @ tool
-        for some, when in moves.chunks(np.arange(len(looks)), looks):
-            seen[some] = row.base @ row.robot.flange(moves.driven_joints(law, start, row, when)) @ tool
-        self._add(f"q/{name}", q)
-        self.tcp[name].append(tcp)
+        q, seen = self.joints[name].room(len(at)), Poses.empty(len(looks))
+        for some in moves.chunks(0, len(at)):
+            q[some] = moves.driven_joints(law, start, row, at[some])
+            self.tcp[name].add(row.base @ row.robot.flange(q[some]) @ tool)
+        for some in moves.chunks(0, len(looks)):
+            driven = row.robot.flange(moves.driven_joints(law, start, row, looks[some]))
+            seen[some] = row.base @ driven @ tool
         self.between[name].append(seen)
         self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
         self._add(f"conf_q/{name}", np.full((count, 6), np.nan))

@@ -297,6 +297,7 @@ def sheet(context: Context, forming: Forming) -> Outcome:
             asked.append(
                 (arm, allowed, *_all(formed, way, own, number, held, forming.begin, places, begun), ahead)
             )
+        give_back()  # what the balls leave free would count beside what heads are held against
         for arm, allowed, heads, rest, ahead in asked:
             told = [(one, "has {:.3f} mm of the sheet inside") for one in (*heads, *rest)]
             told += [(one, "is {:.3f} mm deeper than the sheet is formed by then") for one in ahead]
@@ -344,6 +345,7 @@ def _all(
         return begin(insides, asked), []
     # balls are held against the face exactly: that of the forming tool elsewhere, the other one below
     face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
+    give_back()  # what ways of heads leave free would count beside what the balls are nearest to
     level = None if former or not held else levels(one)
     there = None if level is None else (state.side, _at_rows(one, level, still.rows))
     here = one.face if former else one.remaining_face

@@ -364,7 +364,9 @@ def divided(corners: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
     triangle (P,) of each. Raises ``TandemError`` where that is more than can be looked at: nothing is proven
     of a face that is looked at here and there."""
     parts, owner = small_pieces(corners, size, MOST_PIECES)
-    longest = float(np.linalg.norm(parts - np.roll(parts, 1, axis=1), axis=2).max(initial=0.0))
+    # edge by edge: pieces of a face are a lot of memory
+    edges = (parts[:, k] - parts[:, k - 1] for k in range(3))
+    longest = max(float(np.linalg.norm(edge, axis=1).max(initial=0.0)) for edge in edges)
     if longest > size * (1.0 + 1e-9):
         what = (
             f"a face has so many long, thin facets that pieces of {size / MM:.2f} mm are over {MOST_PIECES}; "

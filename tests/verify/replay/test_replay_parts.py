@@ -15,7 +15,7 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import from_parts
 from planner.verify.context import Context
 from planner.verify.replay import arm_model, inverse_kinematics, moves
-from planner.verify.replay.motion import Poses, Runs, differences
+from planner.verify.replay.motion import Grown, GrownPoses, Poses, Runs, differences
 from planner.verify.wire.cut_surface import Sweep, closest, cut_face
 from tests.robot_sample import SAMPLE
 from tests.verify import held_job, small_job
@@ -202,6 +202,32 @@ def test_poses_come_back_as_they_were_put_in() -> None:
     np.testing.assert_allclose(kept[some], wanted[[1, 2, 2]], rtol=0.0, atol=1e-15)
     assert np.array_equal(kept.place[3], wanted[2, :3, 3])
     assert np.array_equal(kept.z[3], wanted[2, :3, 2])
+
+
+def test_poses_that_grow_are_those_put_in_at_once_in_runs_where_axes_stand() -> None:
+    rng = np.random.default_rng(12)
+    turned = Rotation.random(300, random_state=3).as_matrix()
+    turned[100:] = Rotation.from_euler("zx", [0.3, 0.2]).as_matrix()  # the tool's axis stands from there on
+    wanted = from_parts(turned, rng.normal(size=(300, 3)))
+    grown, whole = GrownPoses(), Poses.joined([Poses.of(wanted)])
+    for some in (slice(0, 7), slice(7, 7), slice(7, 150), slice(150, 300)):
+        grown.add(wanted[some])
+    kept = grown.all
+    assert isinstance(whole.z, np.ndarray) and isinstance(kept.z, np.ndarray)  # too many turn
+    assert kept[:].tobytes() == whole[:].tobytes()
+    for _ in range(3):
+        grown.add(wanted[100:])
+    kept = grown.all
+    assert isinstance(kept.z, Runs) and len(kept.z.value) < 160 and len(kept) == 900
+    assert kept[:].tobytes() == Poses.of(np.concatenate([wanted, *[wanted[100:]] * 3]))[:].tobytes()
+
+
+def test_rows_that_grow_stay_as_they_were_written() -> None:
+    rng = np.random.default_rng(13)
+    grown, parts = Grown((2,)), [rng.normal(size=(count, 2)) for count in (1, 0, 5, 40, 3)]
+    for part in parts:
+        grown.room(len(part))[:] = part
+    assert len(grown) == 49 and np.array_equal(grown.all, np.concatenate(parts))
 
 
 def test_speeds_and_accelerations_are_those_of_each_joint() -> None:
