@@ -24,7 +24,7 @@ from tests import gantry_job, track_job
 PROBLEMS = Path(__file__).parent.parent / "problems" / "long_wall"
 
 
-@pytest.mark.parametrize("file", ["gantry.yaml", "gantry_kuka.yaml"])
+@pytest.mark.parametrize("file", ["gantry.yaml", pytest.param("gantry_kuka.yaml", marks=pytest.mark.long)])
 def test_an_arm_that_hangs_from_a_gantry_reaches_all_corners_of_a_panel(file: str) -> None:
     problem = planner.load(PROBLEMS / file)
     (arm,) = problem.cell.arms
@@ -34,6 +34,7 @@ def test_an_arm_that_hangs_from_a_gantry_reaches_all_corners_of_a_panel(file: st
     assert not has_errors(found.issues) and found.targets >= 4, [str(issue) for issue in found.issues]
 
 
+@pytest.mark.long
 def test_the_bridge_alone_does_not_reach_all_of_the_panel(tmp_path: Path) -> None:
     data = yaml.safe_load((PROBLEMS / "gantry.yaml").read_text())
     data["cell"] = yaml.safe_load((PROBLEMS / data["cell"]).read_text())

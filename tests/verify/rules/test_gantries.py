@@ -155,7 +155,21 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
         lambda t: re.sub(r"(.*)    MoveAbsJ j_home[^\n]*\n", r"\1", t, count=1, flags=re.DOTALL),
     ),
 }
-LATER = ("no bridge", "another unit", "swapped in the cut", "a sign", "the other one off by 1 mm", "fast")
+LATER = (
+    "no bridge",
+    "another unit",
+    "swapped in the cut",
+    "a sign",
+    "the other one off by 1 mm",
+    "fast",
+    "offsets left on",
+    "no look",
+    "a third axis",
+    "metres all along",
+    "swapped all along",
+    "a look at the other column",
+    "beyond the range",
+)
 """Those that are much like others are long tests."""
 
 

@@ -162,7 +162,13 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
 }
 
 
-@pytest.mark.parametrize("name", MUTANTS)
+LATER = ("no speed of the lift", "a third axis", "no lift", "metres", "one axis twice in X")
+"""Those that are much like others are long tests."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.long) if n in LATER else n for n in MUTANTS]
+)
 def test_a_wrong_gantry_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]
     refused(prover, broken(gantry_job.planned_krl().programs, change), word)
