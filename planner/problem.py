@@ -19,6 +19,7 @@ from planner.claims.claim import ForceFrame
 from planner.claims.vocabulary import (
     CLOSED,
     KEEP_OFF,
+    KEEP_OFF_GANTRY,
     KEEP_OFF_POSITIONER,
     KEEP_OFF_RIDING,
     KEEP_OFF_TABLE,
@@ -62,12 +63,13 @@ a track, and of what a turntable carries, on the way to a station."""
 
 
 @dataclasses.dataclass(frozen=True)
-class LinearTrack:
-    """A linear axis that an arm's base stands on: with its value v [m] the base is moved by v times ``axis``
-    (3,), a unit vector of the world. ``low`` to ``high`` [m] is its range, ``speed`` [m/s] and
-    ``acceleration`` [m/s2] are its own; ``unit`` is its mechanical unit's name, ``home`` [m] where it stands
-    before a program begins. ``follow``: the share of the tool's way along it that it goes along while the arm
-    works, None where it stands then."""
+class LinearAxis:
+    """A linear axis under an arm: with its value v [m] what it takes along is moved by v times ``axis`` (3,),
+    a unit vector of the world. ``low`` to ``high`` [m] is its range, ``speed`` [m/s] and ``acceleration``
+    [m/s2] are its own; ``unit`` is its mechanical unit's name, ``home`` [m] where it stands before a program
+    begins. ``follow``: the share of the tool's way along it that it goes along while the arm works, None
+    where it stands then. ``column`` [from 0] is its number among external axes; ``word`` tells the axes of a
+    gantry apart, empty for a track; ``carries``: bodies of the cell that stand on it, where they are at 0."""
 
     axis: FloatArray
     low: float
@@ -77,12 +79,32 @@ class LinearTrack:
     unit: str
     home: float
     follow: float | None = None
+    column: int = 0
+    word: str = ""
+    carries: tuple[str, ...] = ()
 
-    def moved(self, base: FloatArray, value: float) -> FloatArray:
-        """A base (4, 4) of value 0, at another value [m]."""
-        out = np.array(base, dtype=np.float64)
+    @property
+    def label(self) -> str:
+        """The axis' name in texts: its unit's, and which axis of it."""
+        return f"{self.unit} {self.word}".strip()
+
+    def moved(self, pose: FloatArray, value: float) -> FloatArray:
+        """A pose (4, 4) of value 0, or of any other from which it is moved, moved by a value [m]."""
+        out = np.array(pose, dtype=np.float64)
         out[:3, 3] += value * self.axis
         return out
+
+
+def in_turn(
+    axes: Mapping[str, LinearAxis], here: Mapping[str, float], there: Mapping[str, float]
+) -> tuple[str, ...]:
+    """Names of linear axes under one arm, given from the floor up, in the order in which they go from their
+    values ``here`` [m] to those ``there``, one after the other: first those that come nearer to their homes,
+    from the arm down, then the others, from the floor up. So a column is raised before the bridge goes."""
+    names = [name for name in axes if there[name] != here[name]]
+    off = {name: [abs(at[name] - axes[name].home) for at in (there, here)] for name in names}
+    nearer = [name for name in names if off[name][1] - off[name][0] > SAME_VALUE]
+    return (*reversed(nearer), *(name for name in names if name not in nearer))
 
 
 STOCK: Final = "stock"
@@ -95,6 +117,8 @@ PLATE: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
 
 
+SAME_VALUE: Final = 1e-6
+"""Distances [m] of values of linear axes from home that differ by no more are one."""
 OUTER_DECIMALS: Final = 4
 """Decimals [mm, deg] with which programs write values of external axes."""
 AXES_WRITTEN: Final = ("ABB", "KUKA")
@@ -190,9 +214,9 @@ class Arm:
     ``base_auto``: the base may be moved by the placement search. ``stiffness``: of its joints, as its file
     states them, else as the catalogue has them, None for neither; ``sag``: how what that makes is
     compensated, None where it is not. ``given``: the robot's data where a file of the user's own has it,
-    which ``robot`` then names, None for one of the catalogue. ``track``: what its base rides on; an arm of a
-    cell has the ``base`` of value 0, one of a setup that of the ``station`` [m] where it stands.
-    """
+    which ``robot`` then names, None for one of the catalogue. ``axes``: what its base rides on, from the
+    floor up: one is a track, two or three are a gantry. An arm of a cell has the ``base`` of values 0, one of
+    a setup that of the values ``stood`` [m] of its axes where it stands."""
 
     name: str
     robot: str
@@ -203,19 +227,42 @@ class Arm:
     stiffness: JointStiffness | None = None
     sag: SagCompensation | None = None
     given: RobotData | None = None
-    track: LinearTrack | None = None
-    station: float | None = None
+    axes: tuple[LinearAxis, ...] = ()
+    stood: tuple[float, ...] = ()
+
+    @property
+    def rails(self) -> dict[str, LinearAxis]:
+        """The axes under it by the names of their values among stations, from the floor up: that of a track
+        is the arm's, those of a gantry have the axis' behind it."""
+        return {f"{self.name}/{one.word}" if one.word else self.name: one for one in self.axes}
+
+    @property
+    def stands(self) -> dict[str, float]:
+        """The values [m] of these by their names, none for an arm of a cell."""
+        return dict(zip(self.rails, self.stood, strict=True)) if self.stood else {}
+
+    @property
+    def track(self) -> LinearAxis | None:
+        """The axis of an arm on a track; None for one that stands, or is on a gantry."""
+        return self.axes[0] if len(self.axes) == 1 else None
+
+    @property
+    def station(self) -> float | None:
+        """The value [m] of its track where it stands."""
+        return self.stood[0] if len(self.stood) == 1 else None
 
     @property
     def follows(self) -> bool:
         """Whether its track goes along while it works."""
         return self.track is not None and self.track.follow is not None
 
-    def at_station(self, value: float) -> Arm:
-        """The arm of a cell where its track has this value [m]; raises ``ValueError`` for one without."""
-        if self.track is None:
-            raise ValueError(f"arm {self.name} stands on no track")
-        return dataclasses.replace(self, base=self.track.moved(self.base, value), station=value)
+    def at_stations(self, values: Mapping[str, float]) -> Arm:
+        """The arm where its axes have these values [m], by their names; raises ``KeyError`` where one is
+        missing."""
+        base, stands = self.base, self.stands
+        for name, axis in self.rails.items():
+            base = axis.moved(base, values[name] - stands.get(name, 0.0))
+        return dataclasses.replace(self, base=base, stood=tuple(values[name] for name in self.rails))
 
     @property
     def data(self) -> RobotData:
@@ -258,16 +305,41 @@ class Cell:
                 return arm
         raise KeyError(name)
 
-    def tilted(self, way: float) -> Cell:
-        """The cell with what a positioner tilts tilted by a way [rad]."""
-        table = self.turntable
-        if table is None or table.tilt is None or way == 0.0:
-            return self
-        goes = table.tilt.turned(np.eye(4), way)
-        bodies = tuple(
-            body.moved(goes) if body.name in table.tilted_bodies else body for body in self.obstacles
-        )
-        return dataclasses.replace(self, obstacles=bodies)
+    def rail(self, name: str) -> tuple[Arm, LinearAxis]:
+        """The arm and the linear axis under it whose value has a name among stations; raises ``KeyError``."""
+        for arm in self.arms:
+            if name in arm.rails:
+                return arm, arm.rails[name]
+        raise KeyError(name)
+
+    @property
+    def riders(self) -> dict[str, tuple[str, ...]]:
+        """Bodies of the cell that stand on an axis, by the name of its value among stations: of a
+        positioner's tilt, and of those of gantries. Axes without any are left out."""
+        out = {name: axis.carries for arm in self.arms for name, axis in arm.rails.items()}
+        out[TILT] = () if self.turntable is None else self.turntable.tilted_bodies
+        return {name: bodies for name, bodies in out.items() if bodies}
+
+    def going(self, there: Mapping[str, float], here: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Motions (4, 4) of the world of what stands on axes, by the names of :attr:`riders`, as all axes go
+        from values ``here`` [m, rad] to those ``there``; one that is in neither stays."""
+        out, table = {}, self.turntable
+        for arm in self.arms:
+            goes = np.eye(4)
+            for name, axis in arm.rails.items():  # those below it take it along
+                goes = axis.moved(goes, there.get(name, 0.0) - here.get(name, 0.0))
+                out[name] = goes
+        if table is not None and table.tilt is not None:
+            out[TILT] = table.tilt.turned(np.eye(4), there.get(TILT, 0.0) - here.get(TILT, 0.0))
+        return {name: out[name] for name in self.riders}
+
+    def gone(self, there: Mapping[str, float], here: Mapping[str, float]) -> Cell:
+        """The cell with the bodies that stand on axes where these take them from values ``here`` [m, rad] to
+        those ``there``."""
+        goes = self.going(there, here)
+        moved = {body: goes[name] for name, bodies in self.riders.items() for body in bodies}
+        bodies = tuple(one.moved(moved[one.name]) if one.name in moved else one for one in self.obstacles)
+        return dataclasses.replace(self, obstacles=bodies) if moved and there != here else self
 
 
 def output_of(request: str) -> str:
@@ -665,13 +737,19 @@ class Setup:
         return f"Setup {self.number} done as told, nobody in the cell?"
 
     @property
+    def stands(self) -> dict[str, float]:
+        """Values [m, rad] of the axes under arms and under the block, by their names among stations."""
+        return {**{k: v for arm in self.cell.arms for k, v in arm.stands.items()}, **self.stock.stands}
+
+    @property
     def upright(self) -> Setup:
         """The same with a positioner's tilt at 0, where the block stands on its plate."""
         table, tilt = self.cell.turntable, self.stock.tilt
         if table is None or not tilt:
             return self
         stock = self.stock.at_station(table, {**self.stock.stands, TILT: 0.0})
-        return dataclasses.replace(self, cell=self.cell.tilted(-tilt), stock=stock)
+        cell = self.cell.gone({TILT: 0.0}, {TILT: tilt})
+        return dataclasses.replace(self, cell=cell, stock=stock)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -683,11 +761,11 @@ class Problem:
     said, with the cell inside and file names made absolute, so that it can be carried along. ``accept``:
     codes of errors that the user takes upon himself. ``notes``: what was chosen on the way from the file.
     ``forces`` {index of an operation: {arm: force}}: what the work exerts on tools; those of operations of
-    one setup are alike. ``stations`` {index of an operation: {arm: value [m] of its track, :data:`STOCK`:
-    value [rad] of the turntable, :data:`TILT`: of its tilt}}: where arms on tracks and the block stand in it;
-    where nothing is said they stay, at first at home. A track that goes along stands there before the first
-    target, and behind the last one where its arm's name with :data:`END` says.
-    """
+    one setup are alike. ``stations`` {index of an operation: {name as :attr:`Arm.rails` has it: value [m] of
+    that axis, :data:`STOCK`: value [rad] of the turntable, :data:`TILT`: of its tilt}}: where arms on tracks
+    and gantries and the block stand in it; where nothing is said they stay, at first at home. A track that
+    goes along stands there before the first target, and behind the last one where its arm's name with
+    :data:`END` says."""
 
     name: str
     cell: Cell
@@ -710,9 +788,9 @@ class Problem:
 
     @property
     def homes(self) -> dict[str, float]:
-        """Values [m, rad] of tracks and of axes under the block before anything moves, by what they carry as
-        :attr:`stations` has it."""
-        out = {arm.name: arm.track.home for arm in self.cell.arms if arm.track is not None}
+        """Values [m, rad] of the axes under arms and under the block before anything moves, by their names as
+        :attr:`stations` has them."""
+        out = {name: axis.home for arm in self.cell.arms for name, axis in arm.rails.items()}
         table = self.cell.turntable
         return out | ({} if table is None else {name: axis.home for name, axis in table.axes.items()})
 
@@ -740,8 +818,8 @@ class Problem:
                 stock, steps = left, change.steps if change else ()
                 tracked |= self.stations.get(index, {})
                 stands = dataclasses.replace(cell, arms=tuple(_standing(arm, tracked) for arm in cell.arms))
-                stands = stands.tilted(tracked.get(TILT, 0.0))
-                on = [arm for arm in stands.arms if arm.track is not None]
+                stands = stands.gone(tracked, {})
+                on = [arm for arm in stands.arms if arm.axes]
                 steps += tuple(_keep_off(arm, arm.follows and arm.name in operation.arms) for arm in on)
                 if table is not None and stock.place is not None:
                     stock = stock.at_station(table, {name: tracked[name] for name in table.axes})
@@ -761,16 +839,14 @@ class Problem:
         if not self.homes or not self.operations:
             return None
         last = self.setups[-1]
-        arms = tuple(_back(arm) for arm in last.cell.arms)
-        steps = tuple(_keep_off(arm) for arm in arms if arm.track is not None)
+        arms = tuple(_standing(arm, self.homes) for arm in last.cell.arms)
+        steps = tuple(_keep_off(arm) for arm in arms if arm.axes)
         stock, table = last.stock, self.cell.turntable
         if table is not None and stock.place is not None:
             homes = {name: axis.home for name, axis in table.axes.items()}
             stock = stock.at_station(table, homes)
             steps += (_keep_off_table(table, homes),)
-        cell = dataclasses.replace(last.cell, arms=arms)
-        if stock.tilt is not None and last.stock.tilt is not None:
-            cell = cell.tilted(stock.tilt - last.stock.tilt)
+        cell = dataclasses.replace(last.cell.gone(self.homes, last.stands), arms=arms)
         return Setup(last.number + 1, cell, stock, (), steps)
 
     def setup_of(self, index: int) -> Setup:
@@ -802,23 +878,20 @@ class Problem:
 
 
 def _standing(arm: Arm, stations: Mapping[str, float]) -> Arm:
-    return arm.at_station(stations[arm.name]) if arm.name in stations else arm
-
-
-def _back(arm: Arm) -> Arm:
-    """An arm that stands at a station with its track at home again."""
-    if arm.track is None:
-        return arm
-    way = arm.track.home - (arm.station or 0.0)
-    return dataclasses.replace(arm, base=arm.track.moved(arm.base, way), station=arm.track.home)
+    return arm.at_stations(stations) if arm.axes else arm
 
 
 def _keep_off(arm: Arm, rides: bool = False) -> str:
-    """What the operator does before a track goes to a station, and perhaps ``rides`` along from there."""
-    unit = arm.track.unit if arm.track is not None else ""
+    """What the operator does before the axes under an arm go to a station, and a track perhaps ``rides``
+    along from there."""
+    # as written: noise settles no half
+    values = {name: f"{round(1e3 * value, OUTER_DECIMALS):.3f}" for name, value in arm.stands.items()}
+    if arm.track is None:
+        units = " and ".join(dict.fromkeys(axis.unit for axis in arm.axes))
+        ways = ", ".join(f"{axis.word} at {values[name]} mm" for name, axis in arm.rails.items())
+        return KEEP_OFF_GANTRY.filled(unit=units, arm=arm.name, values=ways)
     said = KEEP_OFF_RIDING if rides else KEEP_OFF
-    value = round(1e3 * (arm.station or 0.0), OUTER_DECIMALS)  # as written: noise settles no half
-    return said.filled(arm=arm.name, unit=unit, value=f"{value:.3f}")
+    return said.filled(arm=arm.name, unit=arm.track.unit, value=values[arm.name])
 
 
 def _keep_off_table(table: Turntable, values: Mapping[str, float]) -> str:

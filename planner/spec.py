@@ -43,6 +43,7 @@ from planner.reading import (
     part,
     part_ruled,
     part_surfaces,
+    rails,
     rhino,
     robot_file,
     sheet,
@@ -203,7 +204,10 @@ class LinkMesh(Section, model=robot_file.LinkMeshFile): ...
 class OwnRobot(Section, model=robot_file.OwnRobotFile): ...
 
 
-class Track(Section, model=axes.TrackFile): ...
+class Track(Section, model=rails.TrackFile): ...
+
+
+class GantryAxis(Section, model=rails.GantryAxisFile): ...
 
 
 class Turntable(Section, model=axes.TurntableFile): ...

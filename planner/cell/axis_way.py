@@ -1,5 +1,5 @@
-"""How near bodies come to each other while a track takes an arm, folded, from one station to another, or a
-turntable or positioner the block.
+"""How near bodies come to each other while a track or gantry takes an arm, folded, from one station to
+another, one axis after the other, or a turntable or positioner the block.
 
 What rides moves at most by the way of its farthest point: that of the carriage, or the arc about the
 axis. So a distance changes by no more than that: looks lie as far apart as the distance found leaves
@@ -21,7 +21,20 @@ from planner.cell.plant import CellModel
 from planner.cell.support import Ground
 from planner.geometry.arrays import BoolArray, FloatArray, Shape, corners, transform
 from planner.geometry.units import DEG
-from planner.problem import BLIND_SPEED, END, PLATE, STOCK, TILT, Arm, Problem, RotaryAxis, Setup, Turntable
+from planner.problem import (
+    BLIND_SPEED,
+    END,
+    PLATE,
+    STOCK,
+    TILT,
+    Arm,
+    Cell,
+    Problem,
+    RotaryAxis,
+    Setup,
+    Turntable,
+    in_turn,
+)
 
 LEVEL: Final = 1e-12
 """Axes whose unit vectors' heights are off 1 by less stand upright."""
@@ -31,6 +44,8 @@ STANDING_GAP_M: Final = 5e-3
 """What a base is as near to [m] where its way begins it may stand on; so near are shapes in a bearing."""
 SUNK_M: Final = 2e-3
 """What a base stands on is at most so far [m] above its foot: bodies of bases end 1 mm below some."""
+LEAST_NORMAL: Final = 1e-3
+"""Planes along a way are square to parts of axes that are no shorter."""
 LEAST_UPRIGHT: Final = 0.5
 """A base whose own z axis is turned farther into its way, by the length of what is square to it, stands on
 nothing that it could leave sliding."""
@@ -45,7 +60,9 @@ ABB_TURN_RAD_S: Final = 45.0 * DEG
 RIDERS: Final = ("stock", "support")
 """Bodies that a turntable turns."""
 FLOOR: Final = "the floor"
-"""What tilted bodies may come near to that is no body of the cell."""
+"""What bodies that are tilted or lowered may come near to that is no body of the cell."""
+LEVEL_RAD: Final = 1e-9
+"""Linear axes whose unit vectors' heights are less go level."""
 
 
 class Look(NamedTuple):
@@ -77,36 +94,69 @@ class Travel(NamedTuple):
     seconds: float
 
 
+def carried(cell: Cell, name: str) -> dict[str, tuple[str, ...]]:
+    """Bodies of a cell that the linear axis of a name takes along, by the names of the axes on which they
+    stand: itself and those above it."""
+    arm, _ = cell.rail(name)
+    names = list(arm.rails)
+    return {one: arm.rails[one].carries for one in names[names.index(name) :]}
+
+
 def along(
     model: CellModel,
-    arm: str,
-    direction: FloatArray,
+    name: str,
     ends: tuple[float, float],
     q: Mapping[str, FloatArray],
     enough: float,
     ignore: clearance.Pairs = frozenset(),
 ) -> AxisWay:
-    """The way of the track of ``arm``, along the unit vector ``direction`` (3,), from one value [m] to the
-    other; ``model`` has the base where it begins, ``q`` {arm: (6,)} [rad] are all arms' joints meanwhile. It
-    ends at a distance below ``enough`` [m]. Pairs of bodies in ``ignore`` are not looked at, nor is the base
-    against shapes on which it stands and slides (:func:`_borne`); against others of the same bodies it is."""
-    base = model.bases[arm]
-    own = [solid for solid in model.solids if solid.body == f"{arm}/base_link"]
-    still = [f"{other}/base_link" for other in model.arms if other != arm]
-    still += [body.name for body in model.cell.obstacles]
+    """The way of the linear axis of a ``name`` among stations from one value [m] to the other; ``model`` has
+    the base, and what the axes carry, where it begins, ``q`` {arm: (6,)} [rad] are all arms' joints
+    meanwhile. It ends at a distance below ``enough`` [m].
+
+    The base of the arm rides, and all that this axis and those on it carry. Pairs of bodies in ``ignore`` are
+    not looked at, nor is the base against shapes on which it stands and slides (:func:`_borne`), and what is
+    carried against shapes that bear it (:func:`_sliding`); against others of the same bodies they are. What
+    goes up or down keeps off the floor, too."""
+    arm, axis = model.cell.rail(name)
+    base, foot = model.bases[arm.name], f"{arm.name}/base_link"
+    above = carried(model.cell, name)
+    bodies = [body for own in above.values() for body in own]
+    own = [solid for solid in model.solids if solid.body in (foot, *bodies)]
+    still = [f"{other}/base_link" for other in model.arms if other != arm.name]
+    still += [body.name for body in model.cell.obstacles if body.name not in bodies]
     still += ["stock", "support"] if model.stock.held_by is None else []
     fixed = [solid for solid in model.solids if solid.body in still]
-    without = np.broadcast_to(_borne(model, own, fixed, base[:3, 2], direction), (len(own), len(fixed)))
+    feet = [solid for solid in own if solid.body == foot]
+    without = np.zeros((len(own), len(fixed)), bool)
+    without[[solid.body == foot for solid in own]] = _borne(model, feet, fixed, base[:3, 2], axis.axis)
+    without |= _sliding(model, own, fixed, axis.axis) & np.array([s.body != foot for s in own])[:, None]
+    floor = Ground.of(model.cell).floor
 
     def at(value: float) -> CellModel:
-        moved = np.array(base)
-        moved[:3, 3] += (value - ends[0]) * direction
-        return model.with_bases({arm: moved})
+        way = value - ends[0]
+        goes = axis.moved(np.eye(4), way)
+        moved = model.with_moved({one: goes @ model.motion(one) for one, some in above.items() if some})
+        return moved.with_bases({arm.name: axis.moved(base, way)})
 
     def beside(placed: CellModel) -> dict[tuple[str, str], float]:
-        return _apart(placed, own, fixed, without)
+        out = _apart(placed, own, fixed, without)
+        return out if abs(axis.axis[2]) < LEVEL_RAD else out | _low(placed, own, bodies, floor)
 
-    return _looked(at, beside, 1.0, ends, q, enough, (f"{arm}/base_link",), ignore)
+    return _looked(at, beside, 1.0, ends, q, enough, (foot, *bodies), ignore)
+
+
+def _low(
+    placed: CellModel, riders: Sequence[Solid], bodies: Sequence[str], floor: float
+) -> dict[tuple[str, str], float]:
+    """How far [m] riders, those of ``bodies``, are above the floor."""
+    out: dict[tuple[str, str], float] = {}
+    poses = placed.poses({})
+    for solid in (one for one in riders if one.body in bodies):
+        low = float(transform(poses[solid.body][0] @ solid.shape.pose, corners(solid.shape))[:, 2].min())
+        pair = (solid.body, FLOOR)
+        out[pair] = min(out.get(pair, np.inf), low - floor)
+    return out
 
 
 def turning(
@@ -141,20 +191,14 @@ def turning(
     def at(value: float) -> CellModel:
         goes = pivot.turned(np.eye(4), value - ends[0])
         moved = model.with_stock(goes @ model.stock_pose)
-        return moved.with_tilted(goes @ model.tilted) if tilts else moved
+        return moved.with_moved({TILT: goes @ model.motion(TILT)}) if tilts else moved
 
     bearing = _bearing(at(0.0), riders, fixed, pivot) if tilts and riders and fixed else None
 
     def beside(placed: CellModel) -> dict[tuple[str, str], float]:
         out = _apart(placed, riders, fixed, bearing)
-        if level:  # heights stay, and so does the way to the floor
-            return out
-        poses = placed.poses({})
-        for solid in riders:
-            low = float(transform(poses[solid.body][0] @ solid.shape.pose, corners(solid.shape))[:, 2].min())
-            pair = (solid.body, FLOOR)
-            out[pair] = min(out.get(pair, np.inf), low - floor)
-        return out
+        # on a level one heights stay, and so does the way to the floor
+        return out if level else out | _low(placed, riders, riding, floor)
 
     poses = model.poses({})
     lever = max((swing([s.shape], poses[s.body][0], pivot) for s in riders), default=0.0)
@@ -166,15 +210,17 @@ def turning(
     return _looked(at, beside, lever, ends, q, enough, [name for name in riding if name in shaped], aside)
 
 
-def stood(
-    model: CellModel, table: Turntable, there: Mapping[str, float], here: Mapping[str, float]
-) -> CellModel:
-    """The model, in which axes under the block have the values ``here`` [rad], where they have ``there``, by
-    their names among stations."""
-    moved = model.with_stock(table.placed(model.stock_pose, there, here))
-    if table.tilt is None:
-        return moved
-    return moved.with_tilted(table.tilt.turned(model.tilted, there[TILT] - here[TILT]))
+def stood(model: CellModel, there: Mapping[str, float], here: Mapping[str, float]) -> CellModel:
+    """The model with axes under arms and under the block at the values ``there`` [m, rad], which have the
+    values ``here`` in it, by their names among stations; an axis that is in neither stays."""
+    cell, table = model.cell, model.cell.turntable
+    moved = model.with_moved({k: goes @ model.motion(k) for k, goes in cell.going(there, here).items()})
+    for arm in cell.arms:
+        base = model.bases[arm.name]
+        for name, axis in arm.rails.items():
+            base = axis.moved(base, there.get(name, 0.0) - here.get(name, 0.0))
+        moved = moved.with_bases({arm.name: base}) if arm.axes else moved
+    return moved if table is None else moved.with_stock(table.placed(model.stock_pose, there, here))
 
 
 def swing(shapes: Sequence[Shape], place: FloatArray, axis: RotaryAxis) -> float:
@@ -194,14 +240,15 @@ def rim(setup: Setup, place: FloatArray, table: Turntable, name: str = STOCK) ->
 
 
 def travel_speeds(problem: Problem, places: Sequence[FloatArray]) -> dict[str, float]:
-    """Speeds [m/s, rad/s] of tracks and of axes under the block on the way to stations as programs have them,
-    by their names among stations; what they carry goes at most at :data:`planner.problem.BLIND_SPEED`.
+    """Speeds [m/s, rad/s] of axes under arms and under the block on the way to stations as programs have
+    them, by their names among stations; what they carry goes at most at :data:`planner.problem.BLIND_SPEED`.
     ``places`` (4, 4) of the block in each setup. In KRL they are whole percents of the axis' own."""
     out: dict[str, float] = {}
     for arm in problem.cell.arms:
-        if arm.track is not None:
-            most = min(arm.track.speed, BLIND_SPEED)
-            out[arm.name] = _in_percents(most, arm.track.speed, arm)
+        most = {name: min(axis.speed, BLIND_SPEED) for name, axis in arm.rails.items()}
+        if arm.data.family == "ABB":  # one figure of speeddata for all of them
+            most = dict.fromkeys(most, min(most.values(), default=0.0))
+        out |= {name: _in_percents(most[name], axis.speed, arm) for name, axis in arm.rails.items()}
     table = problem.cell.turntable
     if table is not None:
         mover = problem.cell.arm(table.arm)
@@ -225,20 +272,22 @@ def _in_percents(most: float, own: float, mover: Arm) -> float:
 
 
 def travels(problem: Problem, places: Sequence[FloatArray]) -> tuple[dict[str, Travel], ...]:
-    """Ways of tracks and of axes under the block before each operation, and home behind the last one, by
+    """Ways of axes under arms and under the block before each operation, and home behind the last one, by
     their names among stations, in the order in which they go; those that stay have none. Ramps are at an
     axis' own acceleration, where one is stated."""
     if not problem.homes or not problem.operations:
         return ()
     speeds, here, out = travel_speeds(problem, places), problem.homes, list[dict[str, Travel]]()
-    ramps = {arm.name: arm.track.acceleration for arm in problem.cell.arms if arm.track is not None}
-    if (table := problem.cell.turntable) is not None:
-        ramps |= {name: axis.acceleration for name, axis in table.axes.items()}
+    under, table = problem.cell.arms, problem.cell.turntable
+    ramps = {name: axis.acceleration for arm in under for name, axis in arm.rails.items()}
+    ramps |= {} if table is None else {name: axis.acceleration for name, axis in table.axes.items()}
     for index in range(len(problem.operations) + 1):
         there = problem.homes if index == len(problem.operations) else problem.stations.get(index, here)
         own: dict[str, Travel] = {}
-        for name in here:
-            value = there.get(name, here[name])
+        ends = {name: there.get(name, here[name]) for name in here}
+        order = [name for arm in under for name in in_turn(arm.rails, here, ends)]
+        for name in (*order, *(() if table is None else table.axes)):
+            value = ends[name]
             way = abs(value - here[name])
             if way > 0.0:
                 ramp = ramps[name]
@@ -347,6 +396,30 @@ def _borne(
     bodies = {fixed[j].body for j in np.flatnonzero(under & near)}
     bodies &= {body.name for body in model.cell.obstacles}
     return np.asarray(under & np.array([solid.body in bodies for solid in fixed]))
+
+
+def _sliding(model: CellModel, riders: list[Solid], fixed: list[Solid], direction: FloatArray) -> BoolArray:
+    """Which fixed shapes riders slide along (R, F) on an axis of a ``direction`` (3,), by how they stand
+    where ``model`` has them: less than :data:`STANDING_GAP_M` apart, with a plane along the way between them,
+    which both keep to their sides of wherever the axis goes. Planes are looked for square to the axes of both
+    shapes, and between the way and these. Boxes that overlap are looked at, and so is what stands in the way,
+    as an end stop."""
+    out = np.zeros((len(riders), len(fixed)), bool)
+    if not riders or not fixed:
+        return out
+    both = [*riders, *fixed]
+    kinds, placed = distance.cores(both), _placed(model, both)
+    near = _gaps(model, riders, fixed) < STANDING_GAP_M
+    for i, j in zip(*np.nonzero(near), strict=True):
+        two = [int(i), len(riders) + int(j)]
+        own = np.concatenate([placed[k, :3, :3].T for k in two])
+        for normal in (*(own - (own @ direction)[:, None] * direction), *np.cross(direction, own)):
+            length = float(np.linalg.norm(normal))
+            if length > LEAST_NORMAL:
+                low, high = _extents(kinds, placed, normal / length)
+                past = max(low[two[1]] - high[two[0]], low[two[0]] - high[two[1]])
+                out[i, j] |= past > -TOUCHING_M
+    return out
 
 
 def _bearing(model: CellModel, riders: list[Solid], fixed: list[Solid], axis: RotaryAxis) -> BoolArray:

@@ -183,7 +183,8 @@ class CellModel:
 
     Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram, whose contexts are set to a
     model's placement when that model is asked; a model is therefore not for use by several threads at once.
-    What a positioner tilts stands as the cell has it, moved by ``tilted`` (4, 4).
+    What stands on axes is as the cell has it, moved by ``moved`` {name as :attr:`planner.problem.Cell.riders`
+    has it: (4, 4)}.
     q is the concatenation of the serial joint angles [rad] of all arms, in the order of ``cell.arms``. Bodies
     are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_J", "<arm>/tool", "<arm>/edge" (a tool's own
     edge, if it has one), "stock", "support", "<obstacle>". A held stock moves with its holder;
@@ -201,11 +202,18 @@ class CellModel:
     robots: Mapping[str, RobotData]
     _shared: _Shared
     easing: Easing = NOT_EASED
-    tilted: FloatArray = dataclasses.field(default_factory=lambda: np.eye(4))
+    moved: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """For another process, which builds it again: Drake's part of it does not travel."""
-        return _again, (self.cell, self.stock, self.stock_pose, dict(self.bases), self.easing, self.tilted)
+        return _again, (
+            self.cell,
+            self.stock,
+            self.stock_pose,
+            dict(self.bases),
+            self.easing,
+            dict(self.moved),
+        )
 
     @property
     def arms(self) -> tuple[str, ...]:
@@ -342,7 +350,8 @@ class CellModel:
         """World poses of all bodies by name: (B, 4, 4) of moving bodies of named arms, (1, 4, 4) of all
         others."""
         out = {obstacle.name: np.eye(4)[None] for obstacle in self.cell.obstacles}
-        out.update((name, self.tilted[None]) for name in _tilted_bodies(self.cell))
+        riders = self.cell.riders.items()
+        out.update((body, self.motion(name)[None]) for name, bodies in riders for body in bodies)
         out["stock"] = out["support"] = self.stock_pose[None]
         for arm in self.cell.arms:
             rows = np.atleast_2d(q.get(arm.name, arm.home))
@@ -386,9 +395,15 @@ class CellModel:
         some = {arm: base[rows] if base.ndim > 2 else base for arm, base in self.bases.items()}
         return dataclasses.replace(self, bases=some)
 
-    def with_tilted(self, motion: FloatArray) -> CellModel:
-        """The same cell with what a positioner tilts moved by a motion (4, 4); nothing is rebuilt."""
-        return dataclasses.replace(self, tilted=np.asarray(motion))
+    def motion(self, name: str) -> FloatArray:
+        """How (4, 4) what stands on an axis, by its name among stations, is moved from where the cell has
+        it."""
+        return self.moved.get(name, np.eye(4))
+
+    def with_moved(self, motions: Mapping[str, FloatArray]) -> CellModel:
+        """The same cell with what stands on the named axes moved by motions (4, 4) from where the cell has
+        it; nothing is rebuilt."""
+        return dataclasses.replace(self, moved={**self.moved, **motions})
 
     def with_easing(self, easing: Easing) -> CellModel:
         """The same cell, in which pairs of bodies count as farther apart than they are."""
@@ -402,8 +417,9 @@ class CellModel:
         def write(_model: object, context: Any) -> None:
             plant_context = context.plant_context()
             for name, frame in self._shared.mounts.items():
-                own = {"stock": self.stock_pose, _TILTED: self.tilted}
-                pose = own[name] if name in own else self.bases[name]
+                own = {"stock": self.stock_pose, **self.bases}
+                on = name.removesuffix(_ON_AXIS)
+                pose = own[name] if name in own else self.motion(on)
                 frame.SetPoseInParentFrame(plant_context, rigid(pose))
 
         self._shared.checker.PerformOperationAgainstAllModelContexts(write)
@@ -437,9 +453,9 @@ def _again(
     stock_pose: FloatArray,
     bases: Mapping[str, FloatArray],
     easing: Easing,
-    tilted: FloatArray,
+    moved: Mapping[str, FloatArray],
 ) -> CellModel:
-    return build(cell, stock, stock_pose, bases).with_easing(easing).with_tilted(tilted)
+    return build(cell, stock, stock_pose, bases).with_easing(easing).with_moved(moved)
 
 
 def _new(
@@ -482,11 +498,12 @@ def _new(
         _fixed(plant, "stock", mounts["stock"], own["stock"], STOCK_COLOUR)
     if stock.support:
         _fixed(plant, "support", mounts["stock"], own["support"], SUPPORT_COLOUR)
-    tilted = _tilted_bodies(cell)
-    if tilted:
-        mounts[_TILTED] = _mount(plant, _TILTED, np.eye(4))
+    on: dict[str, str] = {}
+    for axis, bodies in cell.riders.items():
+        mounts[f"{axis}{_ON_AXIS}"] = _mount(plant, f"{axis}{_ON_AXIS}", np.eye(4))
+        on |= dict.fromkeys(bodies, f"{axis}{_ON_AXIS}")
     for obstacle in cell.obstacles:
-        mount = mounts[_TILTED] if obstacle.name in tilted else plant.world_frame()
+        mount = mounts[on[obstacle.name]] if obstacle.name in on else plant.world_frame()
         _fixed(plant, obstacle.name, mount, obstacle.shapes, OBSTACLE_COLOUR)
     plant.Finalize()
     if meshcat is not None:
@@ -653,12 +670,8 @@ def _mount(plant: MultibodyPlant, name: str, pose: FloatArray) -> FixedOffsetFra
     return plant.AddFrame(FixedOffsetFrame(name, plant.world_frame(), rigid(pose)))
 
 
-_TILTED: Final = "tilt/mount"
-"""Frame in the world of what a positioner tilts."""
-
-
-def _tilted_bodies(cell: Cell) -> tuple[str, ...]:
-    return () if cell.turntable is None else cell.turntable.tilted_bodies
+_ON_AXIS: Final = "/on"
+"""Behind the name of an axis: its frame in the world, that of what stands on it."""
 
 
 def _fixed(

@@ -333,5 +333,5 @@ def _world(points: FloatArray, places: FloatArray) -> FloatArray:
 
 
 def _at_zero(arm: Arm) -> FloatArray:
-    """The base (4, 4) of an arm with its track at value 0."""
-    return arm.base if arm.track is None else arm.track.moved(arm.base, -(arm.station or 0.0))
+    """The base (4, 4) of an arm with the axes under it at 0."""
+    return arm.at_stations(dict.fromkeys(arm.rails, 0.0)).base

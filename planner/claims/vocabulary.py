@@ -195,6 +195,12 @@ KEEP_OFF_RIDING: Final = Sentence(
     "confirmed, and goes along while the arm works."
 )
 """The same of one that goes along from there."""
+KEEP_OFF_GANTRY: Final = Sentence(
+    "Keep off the gantry {unit}: once this is confirmed it takes arm {arm}, folded at its home, one "
+    "axis after "
+    "the other, to where they stand: {values}."
+)
+"""Told before the axes of a gantry go to a station."""
 KEEP_OFF_TABLE: Final = Sentence(
     "Keep off the turntable {unit} and what stands on it: it turns to {value} deg once this is confirmed."
 )

@@ -19,7 +19,7 @@ from planner.motion.place_margin import margin
 from planner.motion.planning_scene import Scene
 from planner.motion.search.path_search import with_aims
 from planner.motion.search.subsampling import few_of
-from planner.problem import OUTER_DECIMALS, Cell, LinearTrack
+from planner.problem import OUTER_DECIMALS, Cell, LinearAxis
 from planner.targets import Targets
 
 SMOOTHED_M: Final = 0.1
@@ -93,7 +93,7 @@ def along(scene: Scene, targets: Targets, arm: str) -> tuple[FloatArray, FloatAr
     return place @ track.axis, gone
 
 
-def law(track: LinearTrack, share: float, place: FloatArray, gone: FloatArray, offset: float) -> FloatArray:
+def law(track: LinearAxis, share: float, place: FloatArray, gone: FloatArray, offset: float) -> FloatArray:
     """Values (N,) [m] of a track at targets whose tool is at ``place`` (N,) [m] along it and has ``gone``
     (N,) [m]; ``offset`` [m] is the c of the law. No move takes the track farther than the tool, so zones that
     suit the tool suit the track."""
@@ -126,7 +126,7 @@ def slides(scene: Scene, targets: Targets, arm: str) -> float:
     return worst
 
 
-def offsets(track: LinearTrack, share: float, place: FloatArray) -> FloatArray:
+def offsets(track: LinearAxis, share: float, place: FloatArray) -> FloatArray:
     """Offsets (K,) [m] with which the law is within the track's range somewhere, for a tool that is at
     ``place`` (N,) [m] along it."""
     low, high = track.low - share * float(place.max()), track.high - share * float(place.min())

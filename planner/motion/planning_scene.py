@@ -45,7 +45,7 @@ from planner.geometry.arrays import (
 )
 from planner.geometry.arrays import inverse as rigid_inverse
 from planner.motion import offset_wrist, own_clearance, seven_axes, spherical_wrist, three_parallel
-from planner.problem import Arm, Cell, LinearTrack, Settings
+from planner.problem import Arm, Cell, LinearAxis, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
 
@@ -330,7 +330,7 @@ class Scene:
     stock: FloatArray
     settings: Settings
     model: CellModel | None = None
-    tracks: Mapping[str, tuple[LinearTrack, float]] = dataclasses.field(default_factory=dict)
+    tracks: Mapping[str, tuple[LinearAxis, float]] = dataclasses.field(default_factory=dict)
 
     @staticmethod
     def of(

@@ -488,9 +488,9 @@ def _over(a: FloatArray, b: FloatArray) -> bool:
 
 
 def movable(problem: Problem, obstacle: Obstacle) -> bool:
-    """Whether an obstacle is neither a floor or a wall nor what a base or the stock stands on."""
-    table = problem.cell.turntable
-    if table is not None and obstacle.name in table.tilted_bodies:
+    """Whether an obstacle is neither a floor or a wall nor what a base or the stock stands on, nor rides on
+    an axis."""
+    if any(obstacle.name in bodies for bodies in problem.cell.riders.values()):
         return False
     box = _box(obstacle.shapes, np.eye(4))
     if (np.ptp(box, axis=0) > LARGE_SIDE_M).sum() >= 2:

@@ -180,7 +180,7 @@ def _solve(
     if former is not None and (why := former.unlike(problem)):
         notes.append(unlike_told(former.problem.name, why))
         former = None
-    bases = {arm.name: arm.base for arm in problem.cell.arms if arm.track is None}
+    bases = {arm.name: arm.base for arm in problem.cell.arms if not arm.axes}
     places: list[FloatArray] = []
     operations: list[OperationPlan] = []
     stands = setup_groups(problem, targets)

@@ -1,10 +1,9 @@
-"""Where arms on tracks, or the block on a turntable, stand in each operation: they go there before it, and
-the work is done standing. A track that goes along (:mod:`planner.motion.following`) stands there before the
-first target; what is chosen is its law's offset, the best first.
+"""Where arms on tracks and gantries, or the block on a turntable, stand in each operation: they go there
+before it, and the work is done standing. A track that goes along (:mod:`planner.motion.following`) stands
+there before the first target; what is chosen is its law's offset, the best first.
 
 Values of an axis are a grid over its range. What stood somewhere before stays if the work is as good there;
-else it goes the least way to where the margin is. The first place with a path that is free is taken.
-"""
+else it goes the least way to where the margin is. The first place with a path that is free is taken."""
 
 from __future__ import annotations
 
@@ -31,20 +30,25 @@ from planner.problem import (
     END,
     STOCK,
     TILT,
-    LinearTrack,
+    LinearAxis,
     Problem,
     RotaryAxis,
     Setup,
     Turntable,
     any_base,
     any_lean,
+    in_turn,
 )
 from planner.targets import Targets
 
 STEP_M: Final = 0.1
-"""Values of a track are so far apart [m],"""
+"""Values of a linear axis are so far apart [m],"""
 MOST_VALUES: Final = 201
-"""at most so many."""
+"""at most so many,"""
+MOST_PLACES: Final = 1500
+"""and of a gantry at most so many places; where these are too few, values are farther apart"""
+COARSER: Final = 1.25
+"""by steps of this factor."""
 STEP_RAD: Final = 5.0 * DEG
 """Values of a turntable are so far apart [rad],"""
 MOST_ANGLES: Final = 721
@@ -73,18 +77,23 @@ WAY_ROOM_M: Final = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
-class _Track:
-    """The track of an arm, as an axis among others."""
+class _Rails:
+    """The track or gantry of an arm, as an axis among others."""
 
     name: str
-    track: LinearTrack
+    rails: Mapping[str, LinearAxis]
     scale: float = MM
     sign: str = "mm"
     apart: float = APART_M
 
     @property
+    def track(self) -> LinearAxis:
+        """The axis on the floor: that of a track."""
+        return next(iter(self.rails.values()))
+
+    @property
     def unit(self) -> str:
-        return self.track.unit
+        return " and ".join(dict.fromkeys(axis.unit for axis in self.rails.values()))
 
     @property
     def what(self) -> str:
@@ -93,31 +102,52 @@ class _Track:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its values among stations."""
-        return (self.name,)
+        return tuple(self.rails)
+
+    @property
+    def words(self) -> str:
+        """What its values are called, in order."""
+        return ", ".join(axis.word for axis in self.rails.values())
 
     @property
     def ranges(self) -> str:
-        return f"{self.track.low / MM:g} to {self.track.high / MM:g}"
+        spans = (f"{axis.word} {axis.low / MM:g} to {axis.high / MM:g}" for axis in self.rails.values())
+        return ", ".join(span.strip() for span in spans)
 
     def values(self) -> FloatArray:
-        """Values (K, 1) at which it may stand."""
-        return values(self.track)[:, None]
+        """Values (K, A) at which it may stand."""
+        step = STEP_M
+        while True:
+            grids = [values(axis, step) for axis in self.rails.values()]
+            if len(grids) == 1 or np.prod([len(grid) for grid in grids]) <= MOST_PLACES:
+                every = np.meshgrid(*grids, indexing="ij")
+                return np.stack([one.ravel() for one in every], axis=1)
+            step *= COARSER
 
     def placed(
         self, problem: Problem, setup: Setup, grid: FloatArray
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-        """Places of the block (K, 1, 4, 4) and bases for values (K, 1)."""
+        """Places of the block (K, 1, 4, 4) and bases for values (K, A)."""
         base = problem.cell.arm(self.name).base
-        bases = {self.name: np.stack([self.track.moved(base, value) for (value,) in grid])[:, None]}
-        return np.tile(_place(setup), (len(grid), 1, 1, 1)), bases
+        bases = np.tile(base, (len(grid), 1, 1, 1))
+        bases[:, 0, :3, 3] += grid @ np.stack([axis.axis for axis in self.rails.values()])
+        return np.tile(_place(setup), (len(grid), 1, 1, 1)), {self.name: bases}
 
     def way(
         self, setup: Setup, here: Mapping[str, float], there: Mapping[str, float], enough: float
     ) -> AxisWay:
-        model = _model(setup)
+        """The way of one axis after the other, to where the first one comes too near to anything."""
+        model, at = _model(setup), {name: here[name] for name in self.names}
         within = own_clearance.own_pairs(model)  # a way of the base changes nothing within an arm
-        ends = (here[self.name], there[self.name])
-        return axis_way.along(model, self.name, self.track.axis, ends, _homes(setup), enough, within)
+        way = AxisWay(axis_way.REACH_M, 0.0, ("", ""), clear=True)
+        for name in in_turn(self.rails, here, there):
+            ends = (at[name], there[name])
+            way = axis_way.along(model, name, ends, _homes(setup), enough, within)
+            if not way.clear:
+                return way
+            gone = {**at, name: there[name]}
+            model, at = axis_way.stood(model, gone, at), gone
+        return way
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,6 +172,11 @@ class _Table:
     def names(self) -> tuple[str, ...]:
         """Names of its values among stations."""
         return tuple(self.track.axes)
+
+    @property
+    def words(self) -> str:
+        """What its values are called, in order."""
+        return " and ".join(axis.word for axis in self.track.axes.values())
 
     @property
     def ranges(self) -> str:
@@ -179,11 +214,11 @@ class _Table:
                 if not way.clear:
                     return way
                 gone = {**at, name: there[name]}
-                model, at = axis_way.stood(model, self.track, gone, at), gone
+                model, at = axis_way.stood(model, gone, at), gone
         return way
 
 
-_Axis = _Track | _Table
+_Axis = _Rails | _Table
 
 
 Passes = Callable[[Scene, Targets, int], bool]
@@ -193,20 +228,19 @@ Passes = Callable[[Scene, Targets, int], bool]
 def stationed(
     problem: Problem, targets: Sequence[Targets], passes: Passes | None = None
 ) -> tuple[Problem, tuple[Targets, ...]]:
-    """The problem with a station of each arm on a track, and of the block on a turntable, in each operation,
+    """The problem with a station of each arm on axes, and of the block on a turntable, in each operation,
     and the targets with the values of tracks that go along; where an axis can stand says ``passes``, which
     asks for no way there, by default whether there is a way there and a path. Raises :class:`TandemError`
     (``motion.station``) where there is none, with the operation, and ``problem.track`` for a block whose
     place is not stated, and for tools that slide along a track that goes along."""
-    axes: dict[str, _Axis] = {
-        arm.name: _Track(arm.name, arm.track) for arm in problem.cell.arms if arm.track is not None
-    }
+    axes: dict[str, _Axis] = {arm.name: _Rails(arm.name, arm.rails) for arm in problem.cell.arms if arm.axes}
     if problem.cell.turntable is not None:
         axes[STOCK] = _Table(problem.cell.turntable)
     if not axes:
         return problem, tuple(targets)
     if problem.stock.place is None or any(setup.stock.place is None for setup in problem.setups):
-        what = "an arm stands on a track and the block's place is searched; both together are not written "
+        what = "an arm stands on a track or gantry and the block's place is searched; both together "
+        what += "are not written "
         raise TandemError(Issue("problem.track", f"{what}yet; state stock.place", field="stock.place"))
     at = problem.homes
     out: dict[int, dict[str, float]] = {}
@@ -216,7 +250,7 @@ def stationed(
         for name in axes:  # in the order in which programs move them
             if name in (*own.arms, STOCK):
                 there, axis = problem.stationed({**out, index: at}), axes[name]
-                if isinstance(axis, _Track) and axis.track.follow is not None:
+                if isinstance(axis, _Rails) and axis.track.follow is not None:
                     values = _followed(there, index, own, axis, at, passes)
                     own = dataclasses.replace(own, ride={name: values})
                     at, gone = {**at, name: float(values[0])}, {f"{name}{END}": float(values[-1])}
@@ -252,9 +286,10 @@ def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str
             raise TandemError(Issue("motion.station", what, hint=hint, field=field))
 
 
-def values(track: LinearTrack) -> FloatArray:
-    """The values (K,) [m] at which an arm may stand, whole tenths of a millimetre."""
-    count = min(max(int(np.ceil((track.high - track.low) / STEP_M)) + 1, 2), MOST_VALUES)
+def values(track: LinearAxis, step: float = STEP_M) -> FloatArray:
+    """The values (K,) [m] at which a linear axis may stand, whole tenths of a millimetre, ``step`` [m] apart
+    at most."""
+    count = min(max(int(np.ceil((track.high - track.low) / step)) + 1, 2), MOST_VALUES)
     return np.unique(np.append(np.round(np.linspace(track.low, track.high, count), 4), track.home))
 
 
@@ -297,7 +332,7 @@ def _station(
     before = np.array([at[name] for name in axis.names])
     tried: list[FloatArray] = []
     first = ""
-    for k in _order(grid, score, before):
+    for k in _order(grid, score, before, axis.apart):
         if len(tried) >= MOST_PATHS * len(axis.names):
             break
         near = any(np.abs(grid[k] - other).max() < axis.apart for other in tried)
@@ -318,7 +353,7 @@ def _followed(
     problem: Problem,
     index: int,
     targets: Targets,
-    axis: _Track,
+    axis: _Rails,
     at: Mapping[str, float],
     passes: Passes | None,
 ) -> FloatArray:
@@ -360,7 +395,7 @@ def _followed(
 
 
 def _base_fault(
-    problem: Problem, index: int, axis: _Track, at: Mapping[str, float], values: FloatArray
+    problem: Problem, index: int, axis: _Rails, at: Mapping[str, float], values: FloatArray
 ) -> str:
     """What the base itself comes too near to while it goes along with ``values`` (N,) [m]; the rest of the
     arm is looked at as it works."""
@@ -370,7 +405,7 @@ def _base_fault(
     bodies = sorted({solid.body for solid in model.solids})
     aside = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
     enough = problem.settings.clearance + WAY_ROOM_M
-    way = axis_way.along(model, axis.name, axis.track.axis, (low, high), _homes(setup), enough, aside)
+    way = axis_way.along(model, axis.name, (low, high), _homes(setup), enough, aside)
     near = f"{BASE_GOES} {_near(way)}, allowed are {enough / MM:g} mm at least"
     return "" if way.clear else near
 
@@ -380,10 +415,10 @@ def _named(axis: _Axis, row: FloatArray) -> dict[str, float]:
     return dict(zip(axis.names, row.tolist(), strict=True))
 
 
-def _order(grid: FloatArray, score: FloatArray, before: FloatArray) -> list[int]:
+def _order(grid: FloatArray, score: FloatArray, before: FloatArray, near_by: float) -> list[int]:
     """Values (K, A) with a margin: the good ones by their way from ``before`` (A,), then the others, best
-    first. Of a positioner's two values there are many near ones, so the nearest and those farthest from
-    what comes before take turns."""
+    first. Of the values of several axes there are many within ``near_by`` of each other, so the nearest and
+    those farthest from what comes before take turns."""
     reached = np.flatnonzero(score > 0.0)
     if not len(reached):
         return []
@@ -401,7 +436,7 @@ def _order(grid: FloatArray, score: FloatArray, before: FloatArray) -> list[int]
             apart = np.abs(grid[ordered][:, None] - grid[out]).max(axis=2).min(axis=1)
             k = ordered[int(np.argmax(apart))]
         out.append(int(k))
-        ordered = [one for one in ordered if np.abs(grid[one] - grid[k]).max() >= APART_RAD]
+        ordered = [one for one in ordered if np.abs(grid[one] - grid[k]).max() >= near_by]
     return out
 
 
@@ -476,7 +511,7 @@ def _nowhere(
     reach = "the arms reach all of it" if table else f"{axis.what} reaches all of it"
     what = f"operation {name}: {reach} from no value of {axis.unit}, {axis.ranges} {axis.sign}"
     if tried:
-        which = " (turn and tilt)" if len(axis.names) > 1 else ""
+        which = f" ({axis.words})" if len(axis.names) > 1 else ""
         all_of = ", ".join(shown(row) for row in tried)
         what = f"operation {name}: no value of {axis.unit} has a path; tried {all_of} {axis.sign}{which}; "
         what += f"at {shown(tried[0])} {axis.sign}: {reasons}"
@@ -485,9 +520,15 @@ def _nowhere(
         hint = f"split the operation, as the table stands while an arm works ({best}), or put the table "
         hint += "elsewhere, where the arms reach one side of the block and leave it room to turn"
     else:
-        hint = f"split the operation, as an arm stands while it works ({best}), or make the track longer"
+        kind = "track" if len(axis.names) == 1 else "axes"
+        hint = f"split the operation, as an arm stands while it works ({best}), or make the {kind} longer"
         arms = problem.cell.arms
-        able = len(arms) == 1 and arms[0].data.family in AXES_WRITTEN and arms[0].sag is None
+        able = (
+            len(arms) == 1
+            and arms[0].track is not None
+            and arms[0].data.family in AXES_WRITTEN
+            and arms[0].sag is None
+        )
         if able and all(map(any_base, problem.operations)):
             hint += ", or let it go along while the arm works (track: follow: 1)"
     arm = None if table else axis.name
@@ -511,7 +552,7 @@ def advice(problem: Problem, targets: Sequence[Targets]) -> str:
     (arm, *others), place = problem.cell.arms, problem.stock.place
     stated = not others and place is not None and arm.data.family in AXES_WRITTEN and not arm.base_auto
     stated = stated and problem.stock.held_by is None and problem.stock.sheet is None
-    if not stated or arm.track is not None or problem.cell.turntable is not None or problem.changes:
+    if not stated or arm.axes or problem.cell.turntable is not None or problem.changes:
         return ""
     return "; or ".join(
         text for text in (_table_advice(problem, targets), _track_advice(problem, targets)) if text
@@ -581,8 +622,8 @@ def _track_advice(problem: Problem, targets: Sequence[Targets]) -> str:
     found: list[tuple[float, str]] = []
     grid = np.arange(-RAIL_M, RAIL_M + 0.5 * STEP_M, 2.0 * STEP_M)
     for name, axis in AXES.items():
-        rail = LinearTrack(np.array(axis), -RAIL_M, RAIL_M, 1.0, 1.0, "", 0.0)
-        stands = _stands(problem, targets, grid[:, None], _Track(arm.name, rail))
+        rail = LinearAxis(np.array(axis), -RAIL_M, RAIL_M, 1.0, 1.0, "", 0.0)
+        stands = _stands(problem, targets, grid[:, None], _Rails(arm.name, {arm.name: rail}))
         if stands is None:
             continue
         low, high = min(0.0, stands.min()) / MM, max(0.0, stands.max()) / MM

@@ -27,7 +27,6 @@ from planner.post.program import (
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
     TIME_DECIMALS,
-    TRACK_COLUMN,
     AxesLook,
     Carry,
     Do,
@@ -44,7 +43,7 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import OUTER_DECIMALS, Arm, Cell, Problem, Settings, Setup, Turntable
+from planner.problem import OUTER_DECIMALS, Arm, Cell, Problem, Settings, Setup, Turntable, in_turn
 from planner.targets import Action, Targets
 from planner.tooling import Tool
 
@@ -220,9 +219,9 @@ class _Builder:
         self.steps = {arm: [] for arm in self.arms}
         self._meet(f"all tasks are ready for operation {plan.name}")
         before = dict(self.stands)
-        stands = {arm: _outer(arms[arm], setup.cell, _values(setup)) for arm in self.arms}
+        stands = {arm: _outer(arms[arm], setup.cell, setup.stands) for arm in self.arms}
         gone = {arm: float(values[-1]) for arm, values in targets.ride.items()}
-        leaves = {arm: _outer(arms[arm], setup.cell, {**_values(setup), **gone}) for arm in self.arms}
+        leaves = {arm: _outer(arms[arm], setup.cell, {**setup.stands, **gone}) for arm in self.arms}
         homes = {arm: arms[arm].home for arm in self.arms}
         opened = number == setup.operations[0] and bool(setup.steps)
         for arm in self.arms:
@@ -261,7 +260,7 @@ class _Builder:
             self.steps[arm] = [_at_station(step, leaves[arm]) for step in self.steps[arm]]
         if closing is not None:
             self._setup(closing, "all work is done")
-            ends = {arm: _outer(arms[arm], closing.cell, _values(closing)) for arm in self.arms}
+            ends = {arm: _outer(arms[arm], closing.cell, closing.stands) for arm in self.arms}
             self._stations(ends, arms, closing.cell)
         ids = np.arange(1, len(keep) + 1)
         return {
@@ -282,11 +281,11 @@ class _Builder:
 
     def _stations(self, stands: Mapping[str, Outer | None], arms: Mapping[str, Arm], cell: Cell) -> None:
         """External axes that stand elsewhere go to where they are to stand, arm after arm, folded, those of a
-        positioner one after the other."""
+        gantry or positioner one after the other."""
         for arm in self.arms:
             station, before, table = stands[arm], self.stands[arm], _table(arms[arm], cell)
             if station is not None and before is not None and station != before:
-                legs = _legs(before, station, table)
+                legs = _legs(before, station, arms[arm], table)
                 steps = [Joints(arms[arm].home, "station", station=leg) for leg in legs]
                 what = arm if table is None else "the block"
                 self._alone(arm, steps, f"{what} stands at its station")
@@ -386,8 +385,8 @@ def outer_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, O
     :data:`planner.problem.BLIND_SPEED`."""
     out: dict[int, OuterSpeed] = {}
     speeds = axis_way.travel_speeds(problem, plan.places)
-    if (track := task.arm.track) is not None:
-        out[TRACK_COLUMN] = OuterSpeed(speeds[task.arm.name], track.speed)
+    for name, rail in task.arm.rails.items():
+        out[rail.column] = OuterSpeed(speeds[name], rail.speed)
     if (table := task.table) is not None:
         for name, axis in table.axes.items():
             out[axis.column] = OuterSpeed(speeds[name], axis.speed)
@@ -396,38 +395,31 @@ def outer_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, O
 
 def outer_names(task: TaskProgram) -> dict[int, tuple[str, str]]:
     """Names of the external axes that a task moves, and the units of their values in texts, by column."""
-    out: dict[int, tuple[str, str]] = {}
-    if (track := task.arm.track) is not None:
-        out[TRACK_COLUMN] = (track.unit, "mm")
+    out = {axis.column: (axis.label, "mm") for axis in task.arm.axes}
     if (table := task.table) is not None:
         out |= {axis.column: (axis.label, "deg") for axis in table.axes.values()}
     return out
 
 
-def _values(setup: Setup) -> dict[str, float]:
-    """Where tracks [m] and axes under the block [rad] stand in a setup, by their names among stations."""
-    out = {arm.name: arm.station for arm in setup.cell.arms if arm.station is not None}
-    return out | setup.stock.stands
-
-
 def _outer(arm: Arm, cell: Cell, values: Mapping[str, float]) -> Outer | None:
-    """The external axes that the program of an arm moves, at ``values`` [m, rad] by what they carry; None
-    where it moves none. A track is the first one."""
-    out: dict[int, float] = {}
-    if arm.track is not None:
-        out[TRACK_COLUMN] = values[arm.name] / MM
+    """The external axes that the program of an arm moves, at ``values`` [m, rad] by their names; None where
+    it moves none."""
+    out = {axis.column: values[name] / MM for name, axis in arm.rails.items()}
     table = _table(arm, cell)
     if table is not None:
         out |= {axis.column: values[name] / DEG for name, axis in table.axes.items()}
     return tuple((column, round(value, OUTER_DECIMALS)) for column, value in sorted(out.items())) or None
 
 
-def _legs(before: Outer, station: Outer, table: Turntable | None) -> list[Outer]:
-    """The stands that external axes go through from one to the other: the turn of a positioner before its
-    tilt."""
+def _legs(before: Outer, station: Outer, arm: Arm, table: Turntable | None) -> list[Outer]:
+    """The stands that external axes go through from one to the other, one after the other: those of a gantry
+    as :func:`planner.problem.in_turn` has them, the turn of a positioner before its tilt."""
     out, at, there = list[Outer](), dict(before), dict(station)
-    columns = [] if table is None else [axis.column for axis in table.axes.values()]
-    for column in columns or there:
+    rails = arm.rails
+    ends = [{name: MM * some[axis.column] for name, axis in rails.items()} for some in (at, there)]
+    columns = [rails[name].column for name in in_turn(rails, *ends)]
+    columns += [] if table is None else [axis.column for axis in table.axes.values()]
+    for column in columns:
         if at[column] != there[column]:
             at[column] = there[column]
             out.append(tuple(sorted(at.items())))

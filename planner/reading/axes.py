@@ -1,9 +1,6 @@
-"""Axes beyond an arm in a cell file: a linear track under its base, a turntable or a tilt-turn positioner
-under the block, with what cannot be one told.
-
-Axes that carry one another under an arm (gantries), and turntables that turn while an arm works, are not
-written yet.
-"""
+"""Axes under the block in a cell file: a turntable or a tilt-turn positioner, with what cannot be one told.
+Those under an arm are in :mod:`planner.reading.rails`. Turntables that turn while an arm works are not
+written yet."""
 
 from __future__ import annotations
 
@@ -24,20 +21,15 @@ from planner.problem import (
     STOCK,
     Arm,
     Controller,
-    LinearTrack,
     Obstacle,
     Problem,
     RotaryAxis,
     Turntable,
-    any_base,
     any_lean,
 )
+from planner.reading.rails import LEAST_AXIS, UNIT
 from planner.reading.strict_yaml import Name, Positive, Strict, Vector
 
-LEAST_AXIS: Final = 1e-9
-"""Directions shorter than this have none."""
-LEAST_TRACK_MM: Final = 50.0
-"""Shorter ranges [mm] of tracks are taken for metres."""
 UPRIGHT: Final = 1e-9
 """Axes whose unit vectors are off the vertical by no more stand upright."""
 LEAST_SHARE: Final = 0.01
@@ -53,141 +45,6 @@ HOME_DECIMALS: Final = 4
 """Decimals [deg] of where a turntable stands at home, as programs write it."""
 
 
-_UNIT: Final = "its name: of the mechanical unit (`MECHANICAL_UNIT` in MOC.cfg), or in KUKA's `MACHINE_DEF`"
-
-
-class TrackFile(Strict):
-    """A linear track under an arm, that takes it from station to station between operations, or goes along
-    while the arm works."""
-
-    axis: Annotated[Vector, Field(description="direction of growing values in the world, any length")]
-    range_mm: Annotated[tuple[float, float], Field(description="least and largest value")]
-    unit: Annotated[Name, Field(description=_UNIT)]
-    speed_mm_s: Annotated[float, Field(le=5000, description="its highest")]
-    acceleration_mm_s2: Annotated[float, Field(le=50_000, description="its highest")]
-    home_mm: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
-    follow: Annotated[
-        float | None,
-        Field(
-            gt=0.0,
-            le=1.0,
-            description="the share of the tool's way along it that it goes along while the arm works, within "
-            "its range; none: it stands then",
-        ),
-    ] = None
-
-
-NO_GANTRY: Final = (
-    "an arm on two or three linear axes, as of a gantry, is not written yet",
-    "state the axis along the work as its track, with base where the others stand, and make a problem of "
-    "each place of these",
-)
-"""What is said of linear axes that carry one another, and what to do."""
-_CHAINS: Final = ("gantry", "tracks", "rails", "axes", "linear_axes")
-"""Keys of an arm under which they are looked for."""
-
-
-def chained(key: str, value: object) -> bool:
-    """Whether a key of an arm that is not known, or a value that is none, states several linear axes."""
-    return key in _CHAINS or (key == "track" and isinstance(value, list))
-
-
-def track(spec: TrackFile | None, arm: Arm, number: int) -> LinearTrack | None:
-    """The track of arm ``number`` of a cell in SI units. Raises ``TandemError`` (``problem.field``,
-    ``problem.track``) with all that is wrong."""
-    if spec is None:
-        return None
-    field, wrong = f"arms.{number}.track", list[Issue]()
-
-    def told(name: str, what: str) -> None:
-        wrong.append(Issue("problem.field", f"{name}: {what}", field=f"{field}.{name}", arm=arm.name))
-
-    low, high = spec.range_mm
-    length = float(np.linalg.norm(spec.axis))
-    if not length > LEAST_AXIS:
-        told("axis", "its length is 0; give the direction in which values grow, such as [0, 1, 0]")
-    if not low < high:
-        told("range_mm", f"it goes from {low:g} to {high:g}; give the least value first, then a larger one")
-    elif high - low < LEAST_TRACK_MM:
-        what = f"it goes from {low:g} to {high:g} mm, and no track is shorter than {LEAST_TRACK_MM:g} mm; "
-        told("range_mm", f"{what}values are mm: 3 m are 3000")
-    elif not low <= spec.home_mm <= high:
-        told("home_mm", f"{spec.home_mm:g} is outside the range of {low:g} to {high:g}")
-    for name, value in (("speed_mm_s", spec.speed_mm_s), ("acceleration_mm_s2", spec.acceleration_mm_s2)):
-        if not value > 0.0:
-            told(name, f"got {value:g}; allowed: above 0")
-    if arm.data.family not in AXES_WRITTEN:
-        what = f"arm {arm.name} is of {arm.data.family}; tracks are written for {' and '.join(AXES_WRITTEN)} "
-        what += "controllers alone; take the track out and move the base, or take such an arm"
-        wrong.append(Issue("problem.track", what, field=field, arm=arm.name))
-    if spec.follow is not None and arm.sag is not None:
-        what = f"arm {arm.name} goes along with its track and has its sag compensated; both together are not "
-        what += "written yet; take follow or compensate_sag out"
-        wrong.append(Issue("problem.track", what, field=f"{field}.follow", arm=arm.name))
-    if arm.base_auto:
-        what = f"arm {arm.name} stands on a track, whose place is not searched; state its base"
-        wrong.append(Issue("problem.track", what, field=f"arms.{number}.base_auto", arm=arm.name))
-    if wrong:
-        raise TandemError(wrong)
-    return LinearTrack(
-        np.array(spec.axis) / length,
-        low * MM,
-        high * MM,
-        spec.speed_mm_s * MM,
-        spec.acceleration_mm_s2 * MM,
-        spec.unit,
-        spec.home_mm * MM,
-        spec.follow,
-    )
-
-
-def check_units(arms: Sequence[Arm], controller: Controller) -> None:
-    """Each track has a unit of its own. Raises ``TandemError``: ``problem.duplicate_name``, and
-    ``problem.track`` for arms that meet by signals."""
-    taken = {name.lower(): f"the robot {name}" for name in controller.units[: len(arms)]}
-    for number, arm in enumerate(arms):
-        if arm.track is None:
-            continue
-        field = f"arms.{number}.track"
-        if controller.sync == "handshake":
-            what = f"arm {arm.name} stands on a track; with two controllers (handshake) that is not written "
-            what += "yet; use one controller (sync: multimove), or an arm of its own"
-            raise TandemError(Issue("problem.track", what, field=field, arm=arm.name))
-        unit = arm.track.unit
-        if unit.lower() in taken:
-            what = f"the unit {unit} is that of {taken[unit.lower()]}, too; give each track its own"
-            raise TandemError(Issue("problem.duplicate_name", what, field=f"{field}.unit", arm=arm.name))
-        taken[unit.lower()] = f"arm {arm.name}"
-
-
-def following_faults(problem: Problem) -> list[Issue]:
-    """What cannot be worked at while the track of an arm goes along (``problem.track``)."""
-    out: list[Issue] = []
-    number = next((k for k, arm in enumerate(problem.cell.arms) if arm.follows), None)
-    if number is None:
-        return out
-    arm, field = problem.cell.arms[number], f"cell.arms.{number}.track.follow"
-
-    def told(what: str, field: str = field) -> None:
-        out.append(Issue("problem.track", what, field=field, arm=arm.name))
-
-    if len(problem.cell.arms) > 1:
-        told(
-            f"the track of arm {arm.name} goes along while it works, which is written for one arm alone; the "
-            f"cell has {len(problem.cell.arms)}; take follow out, so that it stands then, or the other arm"
-        )
-    if any(setup.stock.held_by == arm.name for setup in problem.setups):
-        told(f"arm {arm.name} holds the block, and its track cannot go along then; take follow out")
-    for index, operation in enumerate(problem.operations):
-        if not any_base(operation):
-            told(
-                f"operation {operation.name}: {operation.process} is worked at standing; milling and targets "
-                "take a track that goes along; take follow out of the track for the others",
-                f"operations.{index}",
-            )
-    return out
-
-
 class TurntablePlateFile(Strict):
     """The plate of a turntable, a cylinder under its centre."""
 
@@ -199,7 +56,7 @@ class TurntableFile(Strict):
     """A turntable under the block, that turns it from station to station between operations; `place` of the
     block is that of value 0."""
 
-    unit: Annotated[Name, Field(description=_UNIT)]
+    unit: Annotated[Name, Field(description=UNIT)]
     arm: Annotated[Name | None, Field(description="whose program moves it; none: the first arm")] = None
     external_axis: Annotated[
         int, Field(ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a or E1")
@@ -351,8 +208,8 @@ def turntable(
     if controller.sync == "handshake" and len(arms) > 1:
         what = f"with two controllers (handshake) a {kind} is not written yet; use one (sync: multimove)"
         told("unit", what, "problem.turntable")
-    if any(arm.track is not None for arm in arms):
-        what = f"a {kind} together with an arm on a track is not written yet; state one of them"
+    if any(arm.axes for arm in arms):
+        what = f"a {kind} together with an arm on a track or gantry is not written yet; state one of them"
         told("unit", what, "problem.turntable")
     if spec.unit.lower() in {unit.lower() for unit in controller.units[: len(arms)]}:
         what = f"the unit {spec.unit} is that of a robot, too; give the {kind} its own"

@@ -15,7 +15,7 @@ from planner.geometry.mesh_files import read_mesh
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Obstacle, SagCompensation
-from planner.reading import axes
+from planner.reading import axes, rails
 from planner.reading.controller import ControllerFile, controllers
 from planner.reading.materials import WiresFile, wires_at_hand
 from planner.reading.robot_file import OwnRobotFile, Posture, posture_fault, robot_of
@@ -360,7 +360,15 @@ class ArmFile(Strict):
         SagFile | None, Field(description="none: targets are commanded where they are wanted")
     ] = None
     track: Annotated[
-        axes.TrackFile | None, Field(description="none: the base stands; `base` is that of value 0")
+        rails.TrackFile | None, Field(description="none: the base stands; `base` is that of value 0")
+    ] = None
+    axes: Annotated[
+        tuple[rails.GantryAxisFile, ...] | None,
+        Field(
+            min_length=2,
+            max_length=3,
+            description="in place of a track: those of a gantry, from the floor up; `base` is that of 0",
+        ),
     ] = None
 
 
@@ -431,26 +439,27 @@ def build(spec: CellFile, folder: Path) -> Cell:
             made = dataclasses.replace(made, given=_driven(data, arm, number))
         elif data.file is not None:
             made = dataclasses.replace(made, given=data)
-        arms.append(dataclasses.replace(made, track=axes.track(arm.track, made, number)))
+        under = rails.under(arm.track, arm.axes, made, number, [body.name for body in spec.obstacles])
+        arms.append(dataclasses.replace(made, axes=under))
     _refuse_alike(arms)
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
-    axes.check_units(arms, controller)
+    rails.check_units(arms, controller)
     wires = wires_at_hand(spec.wires or ())
     if spec.turntable is not None and spec.positioner is not None:
         what = "a turntable and a positioner under one block; state the one on which it stands"
         raise TandemError(Issue("problem.field", what, field="positioner"))
-    under = spec.turntable if spec.positioner is None else spec.positioner
-    table, plate = axes.turntable(under, arms, controller, [body.name for body in obstacles])
+    below = spec.turntable if spec.positioner is None else spec.positioner
+    table, plate = axes.turntable(below, arms, controller, [body.name for body in obstacles])
     return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _grippers(spec), wires, table)
 
 
 def _driven(data: RobotData, arm: ArmFile, number: int) -> RobotData:
     """The robot of an arm that joint trajectories drive. Raises :class:`TandemError` (``problem.field``) for
     an arm that rides on a track or whose sag is made up for, which trajectories are not written for."""
-    for field, stated in (("track", arm.track), ("compensate_sag", arm.compensate_sag)):
+    for field, stated in (("track", arm.track), ("axes", arm.axes), ("compensate_sag", arm.compensate_sag)):
         if stated is not None:
             what = f"{field} of arm {arm.name}: trajectories (controller: {{language: ros}}) are written for "
             what += "arms that stand still and do not bend; leave it out, or take the arm's own language"

@@ -23,7 +23,7 @@ from planner.files import carried_name, each_file, is_file
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
-from planner.reading import axes, controller, grip_choice, loads, materials, strict_yaml
+from planner.reading import axes, controller, grip_choice, loads, materials, rails, strict_yaml
 from planner.reading import cell as cell_file
 from planner.reading import part as part_file
 from planner.reading import sheet as sheet_file
@@ -284,7 +284,8 @@ def build(document: Document, models: OperationModels) -> Problem:
     issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
     issues += [_placed(issue, document) for issue in loads.faults(problem)]
     issues += [_placed(issue, document) for issue in axes.turntable_faults(problem)]
-    issues += [_placed(issue, document) for issue in axes.following_faults(problem)]
+    issues += [_placed(issue, document) for issue in rails.following_faults(problem)]
+    issues += [_placed(issue, document) for issue in rails.carrying_faults(problem)]
     issues = grip_choice.advised(problem, issues)
     if issues:
         raise TandemError(issues)
@@ -403,8 +404,8 @@ def _field_issue(
         least, has = error["ctx"]["min_length"], error["ctx"]["actual_length"]
         what = f"has {has} {'entry' if has == 1 else 'entries'}, at least {least} must be there"
         remedy = "add what is missing, or take the key out where it may be left out"
-    if location[-3:-2] == ("arms",) and axes.chained(str(location[-1]), got):
-        what, remedy = axes.NO_GANTRY
+    if (several := rails.chained(location, got)) is not None:
+        what, remedy = several
     if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list of a fixed length
         what, remedy = f"entry {error['loc'][-1]}, counted from 0, is missing", "give as many as it takes"
     if error["type"] in ("tuple_type", "list_type"):

@@ -81,7 +81,7 @@ def shapes(
 ) -> Iterator[Shape]:
     """Robots, tools, fixed bodies, block, support; the wanted part, and the ``cut`` one, by name in the stock
     frame."""
-    drawn = scene.extract(model.with_bases(at.bases))
+    drawn = scene.extract(model.with_bases({**scene.standing(at.setup), **at.bases}))
     place = np.asarray(plan.places[at.setup.number - 1])
     rows = {name: value[None] for name, value in at.q.items()}
     poses = scene.stand(drawn, at.setup, place, rows)

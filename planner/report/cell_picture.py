@@ -219,7 +219,7 @@ def setup_pictures(model: CellModel, problem: Problem, plan: Plan | None) -> tup
     for setup, place in zip(setups, plan.places, strict=True):
         names = ", ".join(plan.operations[i].name for i in setup.operations)
         title = f"Setup {setup.number}: {names}" if len(setups) > 1 else ""
-        there = seen.model.with_bases(scene.standing(setup)).with_tilted(scene.leaning(seen.model, setup))
+        there = seen.model.with_bases(scene.standing(setup))
         moment = _moment(problem, plan, setup, place)
         here = dataclasses.replace(seen, model=there.with_bases(moment.bases))
         out.append((title, picture(here, moment)))

@@ -30,8 +30,9 @@ def text(problem: Problem, plan: Plan) -> str:
     home of its joints}. Each of ``operations`` has ``start_s`` of its first target on the plan's clock, for
     all targets ``time_s`` from there, ``names`` and ``segments``, and by arm ``tcp``, ``joints_deg``,
     ``entry_deg`` and ``exit_deg``; ``block`` is the plane of the block's frame, or of a held one its holder
-    and the plane in the holder's TCP; ``stations_mm`` by arm are values of tracks, whose ``base`` is that of
-    value 0, before the first target where they go along: ``track_mm`` by arm has those at all targets then;
+    and the plane in the holder's TCP; ``stations_mm`` are values of tracks by arm, and of the axes of
+    gantries by arm and axis, as "arm/bridge", whose ``base`` is that of values 0, before the first target
+    where they go along: ``track_mm`` by arm has those at all targets then;
     ``turntable_deg`` is that of a turntable, to which the block is turned, ``tilt_deg`` that of a
     positioner's tilt axis, by which it is tilted then. Joint angles are those of the arms' URDFs.
     """

@@ -25,7 +25,7 @@ from planner.cell.support import with_support
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Shape, axis_ends, inverse, transform
 from planner.plans import OperationPlan, Plan
-from planner.problem import TILT, Arm, Problem, Setup
+from planner.problem import Arm, Problem, Setup
 from planner.report import raster, scene
 from planner.report.raster import Solid
 from planner.tooling import Bow, Mill, working_solid
@@ -239,16 +239,16 @@ def _seen(edge: Shape) -> Shape:
 
 
 def standing(setup: Setup) -> dict[str, FloatArray]:
-    """Bases (4, 4) in the world of arms that stand on tracks, where they do in a setup."""
-    return {arm.name: arm.base for arm in setup.cell.arms if arm.track is not None}
+    """Bases (4, 4) in the world of arms that stand on axes, where they do in a setup."""
+    return {arm.name: arm.base for arm in setup.cell.arms if arm.axes}
 
 
-def leaning(model: CellModel, setup: Setup) -> FloatArray:
-    """The motion (4, 4) of what a positioner tilts, from where a model has it to where it is in a setup."""
-    table = model.cell.turntable
-    if table is None or table.tilt is None:
-        return np.eye(4)
-    return table.tilt.turned(np.eye(4), (setup.stock.tilt or 0.0) - (model.stock.tilt or 0.0))
+def carried(model: CellModel, there: Mapping[str, float]) -> dict[str, FloatArray]:
+    """Motions (4, 4) of the bodies that stand on axes, from where a model was built with them to where they
+    are at values [m, rad]."""
+    here = {**model.stock.stands, **{k: v for arm in model.cell.arms for k, v in arm.stands.items()}}
+    goes = model.cell.going(there, here)
+    return {body: goes[name] for name, bodies in model.cell.riders.items() for body in bodies}
 
 
 def ridden(
@@ -258,25 +258,23 @@ def ridden(
     poses: Mapping[str, FloatArray],
     values: Mapping[str, FloatArray] | None = None,
 ) -> dict[str, FloatArray]:
-    """World poses {body: (T, 4, 4)} of a scene with arms on tracks, and what a positioner tilts, where they
-    stand in the setups (T,) that are in force, or at ``values`` (T,) [m, rad] of their axes."""
+    """World poses {body: (T, 4, 4)} of a scene with arms and bodies on axes, and what a positioner tilts,
+    where they stand in the setups (T,) that are in force, or at ``values`` (T,) [m, rad] of their axes."""
     out = dict(poses)
-    table = setups[0].cell.turntable
-    if table is not None and table.tilt is not None:
-        leans = np.array([one.stock.tilt or 0.0 for one in setups])[setup]
-        leans = values[TILT] if values else leans
-        here = scene.model.stock.tilt or 0.0
-        goes = np.stack([table.tilt.turned(np.eye(4), lean - here) for lean in leans])
-        out |= {name: goes @ poses[name] for name in table.tilted_bodies if name in poses}
-    for arm in standing(setups[0]):
-        stands = np.array([one.cell.arm(arm).base[:3, 3] for one in setups])[setup]
-        first = setups[0].cell.arm(arm)
-        if values and first.track is not None:
-            way = values[arm] - (first.station or 0.0)
-            stands = first.base[:3, 3] + way[:, None] * first.track.axis
-        for body in [body for body in poses if body.startswith(f"{arm}/")]:
+    stands = [setups[k].stands for k in setup]
+    if values:
+        stands = [{name: float(own[k]) for name, own in values.items()} for k in range(len(setup))]
+    if scene.model.cell.riders:
+        goes = [carried(scene.model, there) for there in stands]
+        for name in goes[0] if goes else ():
+            if name in poses:
+                out[name] = np.stack([one[name] for one in goes]) @ poses[name]
+    for arm in (arm for arm in setups[0].cell.arms if arm.axes):
+        way = np.array([[there[name] for name in arm.rails] for there in stands]) - np.array(arm.stood)
+        bases = arm.base[:3, 3] + way @ np.stack([axis.axis for axis in arm.axes])
+        for body in [body for body in poses if body.startswith(f"{arm.name}/")]:
             out[body] = np.array(np.broadcast_to(poses[body], (len(setup), 4, 4)))
-            out[body][:, :3, 3] += stands - scene.model.bases[arm][:3, 3]
+            out[body][:, :3, 3] += bases - scene.model.bases[arm.name][:3, 3]
     return out
 
 
@@ -290,9 +288,8 @@ def stand(
         out[f"{arm}/edge"] = out[f"{arm}/tool"]
     stock = block_pose(setup, place, scene.model.bases, q)
     out["stock"] = out["support"] = np.broadcast_to(stock, (count, 4, 4))
-    table = scene.model.cell.turntable
-    for name in table.tilted_bodies if table is not None else ():
-        out[name] = leaning(scene.model, setup) @ out[name]
+    for name, goes in carried(scene.model, setup.stands).items():
+        out[name] = goes @ out[name]
     return out
 
 

@@ -13,23 +13,22 @@ import numpy as np
 from planner.cell import support
 from planner.claims.claim import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
 from planner.claims.forming import SinksHolder
-from planner.geometry.arrays import FloatArray, inverse, to_quaternion, to_rpy, transform
+from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
 from planner.problem import (
     Arm,
     Controller,
-    LinearTrack,
     Problem,
-    RotaryAxis,
     Setup,
     Stock,
     Turntable,
     torch_signals,
 )
-from planner.report import exhibits, markup, scene
+from planner.report import axes_sheet, exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
+from planner.report.pose_text import point, pose_cells
 from planner.tooling import Gripper
 from planner.verify.result import Proof
 
@@ -44,13 +43,6 @@ _CORNERS = (
     ("top corner −x −y", (0, 0, 1)),
 )
 """Corners of the block to be measured: what they are called, and their place along x, y, z."""
-
-
-def pose_cells(pose: FloatArray) -> tuple[str, str, str]:
-    """Position [mm], roll-pitch-yaw [deg] and quaternion of a pose (4, 4) as text."""
-    turn = ", ".join(markup.fixed(float(v) / DEG, 3) for v in to_rpy(pose[:3, :3]))
-    quaternion = ", ".join(markup.fixed(float(v), 6) for v in to_quaternion(pose[:3, :3]))
-    return _point(pose[:3, 3]), turn, quaternion
 
 
 def tool_table(setup: Setup, plan: Plan) -> Block:
@@ -105,7 +97,7 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
             items.append(
                 (
                     "load told to the controller",
-                    f"{markup.fixed(held.mass, 3)} kg at {_point(held.cog)} mm",
+                    f"{markup.fixed(held.mass, 3)} kg at {point(held.cog)} mm",
                 )
             )
     name = "place: x, y, z in the world [mm]"
@@ -167,7 +159,7 @@ def _from_bases(setup: Setup, plan: Plan) -> list[tuple[object, object]]:
         edges = (
             "edges parallel to the base" if off < 0.005 else f"edges turned by {markup.fixed(turn, 2)} deg"
         )
-        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", f"{_point(corner)}; {edges}"))
+        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", f"{point(corner)}; {edges}"))
     return out
 
 
@@ -207,13 +199,9 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
         where = f"world, {setup.cell.turntable.unit} at {_stand(setup.cell.turntable, stock)}"
     for label, (i, j, k) in _CORNERS:
         corner = np.array([ends[i, 0], ends[j, 1], ends[k, 2], 1.0])
-        rows.append((f"block, {label}, {where}", _point((frame @ corner)[:3]), "", "", _FILL))
+        rows.append((f"block, {label}, {where}", point((frame @ corner)[:3]), "", "", _FILL))
     heads = ("what", *_POSE_COLUMNS[:2], "axes on the controller [deg]", "measured")
     return markup.table(heads, rows)
-
-
-def _point(point: FloatArray) -> str:
-    return ", ".join(markup.fixed(float(v) / MM, 2) for v in point)
 
 
 def _size(size: FloatArray) -> str:
@@ -511,162 +499,16 @@ def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str
     out += _torches(problem, plan, signals, "PP to main in all tasks, Start", arm if joined else "")
     out.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
     for item in problem.cell.arms:
-        if item.track is not None and arm in ("", item.name):
-            out += _track(item, item.track, controller.robot(problem.cell.arms.index(item)))
+        if item.axes and arm in ("", item.name):
+            out += axes_sheet.abb_rails(item, controller.robot(problem.cell.arms.index(item)))
     table = problem.cell.turntable
     if table is not None and arm in ("", table.arm):
-        out += _turntable(problem, table)
+        out += axes_sheet.turntable(problem, table)
     if any(setup.stock.held_by for setup in problem.setups):
         out.append(("ModalPayLoadMode (SYS_MISC)", "1: else GripLoad of the held block counts for nothing"))
     out.append(("CAB_REGAIN_DIST, AUTO", "small: an arm goes back to its path by itself from so far away"))
     out.append(("behind an error or a stop that is given up", "PP to main in all tasks, then start"))
     return out
-
-
-def _track(arm: Arm, track: LinearTrack, robot: str) -> list[tuple[str, str]]:
-    """What the controller's configuration (MOC.cfg) must say of a track."""
-    along = ", ".join(markup.fixed(float(v), 6) for v in track.axis)
-    span = f"{track.low / MM:g} to {track.high / MM:g} mm, at most {track.speed / MM:g} mm/s and "
-    return [
-        (f"mechanical unit {track.unit}", "there, one linear axis, the first external one (eax_a), in mm"),
-        (f"{track.unit}: base frame", f"its values grow along ({along}) of the world"),
-        (f"{track.unit}: joint", f"{span}{track.acceleration / MM:g} mm/s²; home {track.home / MM:g} mm"),
-        *_goes_along(track),
-        (f"{track.unit} before PP to main", _jogged(f"{track.home / MM:g} mm")),
-        (f"{robot}: base frame moved by", f"{track.unit}"),
-        (f"{robot}: base frame", f"that of arm {arm.name} at 0 mm: {_point(arm.base[:3, 3])} mm"),
-    ]
-
-
-def _jogged(home: str) -> str:
-    """Where an external axis has to stand before a program begins."""
-    return f"jogged home, to {home}: a program looks before its first move, and goes no further elsewhere"
-
-
-def _turntable(problem: Problem, table: Turntable) -> list[tuple[str, str]]:
-    """What the controller's configuration (MOC.cfg, KUKA's machine data) must say of a turntable, and how the
-    block is clamped."""
-    sense = "counter-clockwise" if table.axis[2] > 0.0 else "clockwise"
-    place, turn, _ = pose_cells(np.asarray(problem.stock.place))
-    mover = problem.cell.arm(table.arm)
-    tilt, kuka = table.tilt, mover.data.family == "KUKA"
-    root = f"its axis goes upright through {_point(table.centre)} mm of the world"
-    root += "" if tilt is None else f", with {tilt.label} at 0 deg"
-    if kuka:
-        root += f", {_point(transform(inverse(mover.base), table.centre))} mm of $WORLD"
-        first = _kuka_turntable(table)
-        start = f"{table.unit} before the program starts"
-    else:
-        column = f"number {table.column + 1} (eax_{'abcdef'[table.column]})"
-        task = f"external axis {column} of the task of arm {table.arm}"
-        first = [(f"mechanical unit {table.unit}", f"there, one rotary axis, {task}, in deg")]
-        if tilt is not None:
-            columns = f"tilt number {tilt.column + 1} (eax_{'abcdef'[tilt.column]}), turn {column}"
-            what = (
-                f"there, two rotary axes of one unit, external axes of the task of arm {table.arm}: {columns}"
-            )
-            first = [(f"mechanical unit {table.unit}", f"{what}, in deg")]
-        start = f"{table.unit} before PP to main"
-    home = ", ".join(f"{axis.word} {axis.home / DEG:g}".strip() for axis in table.axes.values())
-    return [
-        *first,
-        *([] if tilt is None else _tilt(problem, table, tilt)),
-        (f"{table.label}: base frame", root),
-        (f"{table.label}: sense", f"seen from above, growing values turn it {sense}"),
-        _joint(table, kuka),
-        (start, _jogged(f"{home} deg")),
-        (f"block with {table.unit} at 0 deg", f"at {place} mm, roll, pitch, yaw {turn} deg"),
-    ]
-
-
-def _joint(axis: RotaryAxis, kuka: bool) -> tuple[str, str]:
-    """The range of an axis under the block, its speed and acceleration, and its home."""
-    n = axis.column + 1
-    where = f"$SOFTN_END[{6 + n}], $SOFTP_END[{6 + n}]" if kuka else "joint"
-    own = f" (at $VEL_EXTAX[{n}] 100)" if kuka else ""
-    ends = f"{axis.low / DEG:g} to {axis.high / DEG:g} deg, at most {axis.speed / DEG:g} deg/s{own}"
-    fast = f", {axis.acceleration / DEG:g} deg/s²" if np.isfinite(axis.acceleration) else ""
-    return f"{axis.label}: {where}", f"{ends}{fast}; home {axis.home / DEG:g} deg"
-
-
-def _kuka_turntable(table: Turntable) -> list[tuple[str, str]]:
-    """The axes of a turntable or positioner in the machine data of a KUKA controller. Of one that turns
-    infinitely the values count modulo 360, and it goes the shorter way (KR C2, machine data, 2.1.4), which
-    nobody has looked at; the order of axes in a kinematic: 2.2.6 $ET1_AX."""
-    out = []
-    for axis in reversed(table.axes.values()):  # from the floor up
-        n = axis.column + 1
-        kind = f"there, rotary, synchronous, in deg; $AXIS_TYPE[{6 + n}] 3, not 5, which goes the shorter way"
-        out.append((f"E{n}, axis {6 + n}: {axis.label}", kind))
-    fixed = "or #NONE: programs set $BASE to a fixed frame of each station, and couple it to none"
-    if table.tilt is None:
-        return [*out, (f"{table.unit} in MACHINE_DEF, $EX_KIN", f"#EASYS, {fixed}")]
-    chain = f"TR_A1 #E{table.tilt.column + 1} (tilt), TR_A2 #E{table.column + 1} (turn)"
-    return [*out, (f"{table.unit} in MACHINE_DEF, $EX_KIN, $ET1_AX", f"#EASYS with {chain}, {fixed}")]
-
-
-def _tilt(problem: Problem, table: Turntable, tilt: RotaryAxis) -> list[tuple[str, str]]:
-    """What the controller's configuration must say of a positioner's tilt axis and of its load."""
-    mover = problem.cell.arm(table.arm)
-    kuka, base = mover.data.family == "KUKA", inverse(mover.base)
-    frames = [("the world", tilt.axis, tilt.centre)]
-    frames += [("$WORLD", base[:3, :3] @ tilt.axis, transform(base, tilt.centre))] if kuka else []
-    lies = "; ".join(
-        f"it goes along ({', '.join(markup.fixed(float(v), 6) for v in axis)}) of {name}, {_point(at)} mm is "
-        "on it"
-        for name, axis, at in frames
-    )
-    masses = [setup.stock.mass for setup in problem.setups if setup.stock.mass is not None]
-    most = "not stated" if table.load is None else f"{table.load:g} kg"
-    block = f"the block weighs {max(masses):.1f} kg" if masses else "weigh the block"
-    carried = f"carries: {most}; {block}, with its support"
-    carried += "" if kuka else ", and tell the controller (MechUnitLoad)"
-    return [
-        (f"{tilt.label}: base frame", lies),
-        (f"{tilt.label}: zero", "with 0 deg the plate lies flat, its top upwards: measure with a level"),
-        (f"{tilt.label}: sense", "growing values tilt it by the right hand about that direction"),
-        _joint(tilt, kuka),
-        (f"{table.unit}: load", carried),
-    ]
-
-
-def _goes_along(track: LinearTrack) -> list[tuple[str, str]]:
-    """What is to be told of a track that goes along while the arm works."""
-    if track.follow is None:
-        return []
-    what = f"by {track.follow:g} of the tool's way along it, within its range, coordinated with the arm"
-    return [(f"{track.unit} while the arm works goes along", what)]
-
-
-def _kuka_track(arm: Arm, track: LinearTrack) -> list[tuple[str, str]]:
-    """What the machine data of a KUKA controller must say of a track. That its kinematic is #ERSYS,
-    and moves $ROBROOT_C without a word in the program: KR C2, machine data, 2.1.9 $ERSYSROOT."""
-    unit = track.unit
-    span = f"{track.low / MM:g} to {track.high / MM:g} mm, at most {track.speed / MM:g} mm/s"
-    along = ", ".join(markup.fixed(float(v), 6) for v in track.axis)
-    seen = ", ".join(markup.fixed(float(v), 6) for v in arm.base[:3, :3].T @ track.axis)
-    limits = f"{span} and {track.acceleration / MM:g} mm/s²; home {track.home / MM:g} mm"
-    return [
-        (f"E1, axis 7: {unit}", "there, one linear axis, synchronous, in mm"),
-        (f"{unit} in MACHINE_DEF, $EX_KIN", "#ERSYS with E1 as its only axis: it moves $ROBROOT_C"),
-        (f"{unit}: direction", f"its values grow along ({along}) of the world, ({seen}) of $WORLD"),
-        *_goes_along(track),
-        (f"{unit}: $SOFTN_END[7], $SOFTP_END[7]", limits),
-        ("$ERSYSROOT", f"so that $WORLD lies in the foot of arm {arm.name} with {unit} at 0 mm"),
-        ("that foot, the base frame", f"{_point(arm.base[:3, 3])} mm of the world"),
-        (f"{unit} before the program starts", _jogged(f"{track.home / MM:g} mm")),
-    ]
-
-
-def _other_axes(arm: Arm, table: Turntable | None) -> list[tuple[str, str]]:
-    """External axes of a KUKA controller that the program of an arm does not know. Its data of joints have 0
-    for each, and a PTP would take them there."""
-    own = set() if arm.track is None else {0}
-    if table is not None and table.arm == arm.name:
-        own |= {axis.column for axis in table.axes.values()}
-    rest = ", ".join(f"E{column + 1}" for column in range(6) if column not in own)
-    what = f"none of {rest} is there, or it is decoupled: PTP would take it to 0"
-    return [("other external axes", what)] if own else []
 
 
 def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
@@ -699,12 +541,12 @@ def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[st
         out.append(("mounting while the wire is hot and the gate open", words))
     out += _torches(problem, plan, [signal for signal, _ in signals], "reset, start", arm if joined else "")
     rider = problem.cell.arm(arm)
-    if rider.track is not None:
-        out += _kuka_track(rider, rider.track)
+    if rider.axes:
+        out += axes_sheet.kuka_rails(rider)
     table = problem.cell.turntable
     if table is not None and table.arm == arm:
-        out += _turntable(problem, table)
-    out += _other_axes(rider, table)
+        out += axes_sheet.turntable(problem, table)
+    out += axes_sheet.other_axes(rider, table)
     out.append(("behind an error or a stop that is given up", "reset the program, then start"))
     return out
 

@@ -29,10 +29,11 @@ from planner.claims.claim import (
 )
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
-from planner.problem import END, STOCK, TILT, Arm, Problem, Setup, Stock, Turntable
+from planner.problem import END, Arm, Problem, Setup, Stock
 from planner.verify import job as job_text
 from planner.verify import job as setup_text
 from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
+from planner.verify.outer_axes import outer_axes, slid
 from planner.verify.programs.steps import BASE_FRAME, MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
 from planner.verify.rapid.syntax_tree import Data, Literal, build
 from planner.verify.replay import arm_model, bending
@@ -43,53 +44,6 @@ from planner.verify.replay.playback import replay
 
 FEED_SLACK = 1.05
 """The replay's ramps and corners may pass feeds by this factor."""
-
-
-@dataclasses.dataclass(frozen=True)
-class OuterAxis:
-    """An external axis that a task of the text moves: what it ``carries``, by the name of its value among
-    stations, an arm's, :data:`STOCK` or :data:`TILT`; its ``unit``, of the mechanical unit of that name or
-    one of its two axes; its ``column`` [from 0] in targets, whose values times ``scale`` are in m or
-    rad, as ``low``, ``high``, ``home``, ``speed`` and ``acceleration`` are, which is infinite where none is
-    stated; ``sign`` is the unit of values in texts. ``mechanism``: name of its mechanical unit. ``follow``:
-    of a track that goes along while its arm works, the share of the tool's way."""
-
-    carries: str
-    mechanism: str
-    unit: str
-    column: int
-    scale: float
-    sign: str
-    low: float
-    high: float
-    home: float
-    speed: float
-    acceleration: float
-    follow: float | None = None
-
-    def told(self, move: MoveStep) -> float:
-        """The speed [m/s, rad/s] that the text gives the axis in a move."""
-        if move.speed.outer is not None:  # KRL: a share of the axis' own
-            return move.speed.outer[self.column] * self.speed
-        return move.speed.rotary if self.carries in (STOCK, TILT) else move.speed.linear
-
-    def shown(self, value: float) -> str:
-        """A value [m, rad] for messages."""
-        return f"{round(value / self.scale, 6):g} {self.sign}"
-
-
-def outer_axes(arm: Arm, table: Turntable | None) -> tuple[OuterAxis, ...]:
-    """The external axes that the task of an arm moves, in the order in which they go to a station: its track,
-    the first one, the turntable or the turn axis of a positioner, the tilt axis of one."""
-    out = []
-    if (track := arm.track) is not None:
-        ends = (track.low, track.high, track.home, track.speed, track.acceleration)
-        out.append(OuterAxis(arm.name, track.unit, track.unit, 0, 1e-3, "mm", *ends, track.follow))
-    for name, axis in table.axes.items() if table is not None and table.arm == arm.name else ():
-        ends = (axis.low, axis.high, axis.home, axis.speed, axis.acceleration)
-        known = (axis.unit, axis.label, axis.column)
-        out.append(OuterAxis(name, *known, np.pi / 180.0, "deg", *ends))
-    return tuple(out)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -347,7 +301,7 @@ class Context:
 
     @cached_property
     def stations(self) -> dict[int, dict[str, float]]:
-        """{index of an operation: {arm, STOCK or TILT: value [m, rad] of its track or axis}}, as targets
+        """{index of an operation: {name: value [m, rad] of the axis of that name}}, as targets
         of the text have them: those of the last move of each setup, whose others
         :mod:`planner.verify.rules.external_axes` compares; of a track that goes along that of the last move
         before the first straight one, and with :data:`END` that of the last move."""
@@ -386,9 +340,9 @@ class Context:
             own: dict[str, Riding] = {}
             for arm in setup.cell.arms if setup.operations else ():
                 for axis in outer_axes(arm, None):
-                    if axis.follow is not None and arm.track is not None:
+                    if axis.follow is not None:
                         station = arm.station or 0.0
-                        own[arm.name] = Riding(arm.track.axis, axis.column, axis.scale, station)
+                        own[arm.name] = Riding(np.array(axis.way), axis.column, axis.scale, station)
             out.append(own)
         return tuple(out)
 
@@ -406,8 +360,9 @@ class Context:
         tracks stand."""
         out = dict(self.bases)
         for arm in self.setups[index].cell.arms:
-            if arm.track is not None and arm.station is not None:
-                out[arm.name] = arm.track.moved(out[arm.name], arm.station)
+            if arm.stands:
+                out[arm.name] = np.array(out[arm.name])
+                out[arm.name][:3, 3] += slid(arm, arm.stands)
         return out
 
     @cached_property
@@ -420,9 +375,17 @@ class Context:
         """The values [rad] of a positioner's tilt axis in the setups, 0 without one."""
         return tuple(setup.stock.tilt or 0.0 for setup in self.setups)
 
+    @property
+    def stands(self) -> tuple[dict[str, float], ...]:
+        """Where the text has the axes under arms stand [m], by their names, in the setups."""
+        return tuple(
+            {name: value for arm in setup.cell.arms for name, value in arm.stands.items()}
+            for setup in self.setups
+        )
+
     @cached_property
     def bases(self) -> dict[str, FloatArray]:
-        """Base poses (4, 4) of all arms, on a track of value 0: from the text, else from the problem."""
+        """Base poses (4, 4) of all arms, on axes of values 0: from the text, else from the problem."""
         found = self.declared_bases
         out = {}
         for arm in self.problem.cell.arms:

@@ -400,12 +400,13 @@ def _krl_task(problem: Problem, number: int, name: str, files: Mapping[str, str]
     return TaskText(name, "", arm, (), steps, {}, {}, called, files, text), text.faults, lost
 
 
-def _along(arm: Arm) -> tuple[float, float, float] | None:
-    """The unit vector, in the axes of an arm's foot, along which its track moves it; None without one."""
-    if arm.track is None:
-        return None
-    x, y, z = (float(column @ arm.track.axis) for column in arm.base[:3, :3].T)
-    return x, y, z
+def _along(arm: Arm) -> dict[int, tuple[float, float, float]]:
+    """The unit vectors, in the axes of an arm's foot, along which external axes move it, by their columns."""
+    out = {}
+    for rail in arm.axes:
+        x, y, z = (float(column @ rail.axis) for column in arm.base[:3, :3].T)
+        out[rail.column] = (x, y, z)
+    return out
 
 
 def _script_task(problem: Problem, number: int, name: str, files: Mapping[str, str]) -> _Read:

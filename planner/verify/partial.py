@@ -137,7 +137,7 @@ def _runs(problem: Problem, one: Read, count: _Count) -> list[tuple[list[MoveSte
         why = (
             "something that is not read may shift all targets from there on"
             if shifted
-            else _strange(part, one.arm.track is not None, problem.cell.turntable is not None)
+            else _strange(part, bool(one.arm.axes), problem.cell.turntable is not None)
         )
         if why:
             close()
@@ -182,7 +182,7 @@ def _strange(move: MoveStep, tracked: bool, turned: bool) -> str:
         return "its tool or its work object is not the arm's own, or moves"
     outer = move.target.external
     if tracked:
-        return "its arm stands on a track, which moves that are left out may have moved"
+        return "its arm stands on a track or gantry, which moves that are left out may have moved"
     if turned:
         return "its block stands on a turntable, which moves that are left out may have turned"
     if (np.abs(outer) > 0.0).any() and (outer < 8.9e9).any():

@@ -20,7 +20,7 @@ from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.geometry.memory import give_back
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
-from planner.problem import Problem, Settings
+from planner.problem import TILT, Problem, Settings
 from planner.verify import result
 from planner.verify.context import Begin, Context, Outcome, Rule, at_once
 from planner.verify.forming import swept
@@ -29,6 +29,7 @@ from planner.verify.forming.state import Forming, Left, begun_faces
 from planner.verify.job import setups_of
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.tool_motion import Milling
+from planner.verify.outer_axes import moved_on
 from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.replay.clearance_samples import Measured
 from planner.verify.result import CutFace, Proof, RuleResult
@@ -323,13 +324,13 @@ class Prover:
 
     def model(self, context: Context, index: int = 0) -> CellModel:
         """The cell of a setup, by its index, with block, bases and what is tilted where the text has them."""
-        return self._model(context.places, context.bases_by_setup, context.tilts, index)
+        return self._model(context.places, context.bases_by_setup, (context.tilts, context.stands), index)
 
     def _model(
         self,
         places: Sequence[FloatArray | None],
         based: Sequence[Mapping[str, FloatArray]],
-        tilts: Sequence[float],
+        stood: tuple[Sequence[float], Sequence[Mapping[str, float]]],
         index: int,
     ) -> CellModel:
         setup, place, bases = setups_of(self.problem)[index], places[index], based[index]
@@ -337,10 +338,13 @@ class Prover:
         if index not in self._models:
             self._models[index] = build(setup.cell, setup.stock, place, bases)
         model, table = self._models[index].with_stock(place).with_bases(bases), setup.cell.turntable
+        tilts, stands = stood
+        here = {name: value for arm in setup.cell.arms for name, value in arm.stands.items()}
+        model = model.with_moved(moved_on(setup.cell, stands[index], here))
         if table is None or table.tilt is None:
             return model
-        here = model.stock.tilt or 0.0
-        return model.with_tilted(table.tilt.turned(np.eye(4), tilts[index] - here))
+        leans = model.stock.tilt or 0.0
+        return model.with_moved({TILT: table.tilt.turned(np.eye(4), tilts[index] - leans)})
 
     def _steps(self, context: Context, run: _Run) -> Iterator[None]:
         """Runs the rules one after the other and hands control back behind each."""
@@ -388,13 +392,13 @@ class Prover:
         self,
         places: Sequence[FloatArray | None],
         based: Sequence[Mapping[str, FloatArray]],
-        tilts: Sequence[float],
+        stood: tuple[Sequence[float], Sequence[Mapping[str, float]]],
         looks: Sequence[clearance.Looks],
         settings: Settings,
     ) -> Iterator[Measured | None]:
         """What is measured at looks at clearance, with blocks and bases there; ``settings``: those of the
         context, which may ask for more than the problem's."""
-        models = functools.cache(functools.partial(self._model, places, based, tilts))
+        models = functools.cache(functools.partial(self._model, places, based, stood))
         yield from clearance.measured(models, looks, settings)
 
     def _of_wires(self, context: Context, wires: tuple[Wire, ...]) -> Iterator[Any]:
@@ -413,7 +417,7 @@ class Prover:
                 self._measured,
                 context.places,
                 context.bases_by_setup,
-                context.tilts,
+                (context.tilts, context.stands),
                 looks,
                 context.problem.settings,
             )

@@ -27,7 +27,7 @@ def test_no_plain_trial_is_nearer_than_the_bound(tmp_path: Path, side: float, cl
     model = plant.build(setup.cell, setup.stock, setup.stock.place)
     arm = setup.cell.arm("left")
     assert arm.track is not None
-    way = axis_way.along(model, "left", arm.track.axis, (-0.5, 0.9), {"left": arm.home}, 0.01)
+    way = axis_way.along(model, "left", (-0.5, 0.9), {"left": arm.home}, 0.01)
     assert way.clear == clear
     least = np.inf
     for value in np.linspace(-0.5, way.at if not clear else 0.9, 101):
@@ -89,7 +89,7 @@ def _along(folder: Path, body: list[Any]) -> axis_way.AxisWay:
     model = plant.build(setup.cell, setup.stock, setup.stock.place)
     arm = setup.cell.arm("left")
     assert arm.track is not None
-    return axis_way.along(model, "left", arm.track.axis, (-0.5, 0.9), {"left": arm.home}, 0.01)
+    return axis_way.along(model, "left", (-0.5, 0.9), {"left": arm.home}, 0.01)
 
 
 @pytest.mark.parametrize(("side", "clear"), [(470.0, True), (430.0, True), (405.0, False)])

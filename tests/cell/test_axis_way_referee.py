@@ -125,7 +125,7 @@ def test_the_way_of_a_base_is_coals(tmp_path: Path, seed: int) -> None:
     arm = setup.cell.arm("left")
     assert arm.track is not None
     links = frozenset(frozenset((name, "rail")) for name in model.poses({}) if name.startswith("left/"))
-    way = axis_way.along(model, "left", arm.track.axis, ENDS, {"left": arm.home}, ENOUGH, links)
+    way = axis_way.along(model, "left", ENDS, {"left": arm.home}, ENOUGH, links)
     truth = _Coal(coal, model, ["left/base_link"], "rail")
 
     def gaps(value: float) -> FloatArray:

@@ -15,11 +15,11 @@ from planner.issues import TandemError
 from planner.motion import following, stations
 from planner.motion.former import Former
 from planner.pipeline import targets_of
-from planner.problem import LinearTrack
+from planner.problem import LinearAxis
 from planner.targets import ScrewFreedom
 from tests import following_job
 
-RAIL = LinearTrack(np.array([0.0, 1.0, 0.0]), -1.0, 1.0, 1.0, 1.0, "TRACK_1", 0.0, 1.0)
+RAIL = LinearAxis(np.array([0.0, 1.0, 0.0]), -1.0, 1.0, 1.0, 1.0, "TRACK_1", 0.0, 1.0)
 
 
 def test_the_law_is_the_tools_way_within_the_range_and_its_mean_near_corners() -> None:
@@ -52,7 +52,7 @@ def test_distances_of_bodies_are_those_of_bases_row_by_row(tmp_path: Path) -> No
     cell = following_job.problem(tmp_path, obstacles=[{"name": "post", "shapes": [post]}]).cell
     stands = dataclasses.replace(
         cell.arms[0],
-        track=dataclasses.replace(cell.arms[0].track, follow=None) if cell.arms[0].track else None,
+        axes=tuple(dataclasses.replace(one, follow=None) for one in cell.arms[0].axes),
     )
     problem = following_job.problem(tmp_path)
     model = plant.build(cell, problem.stock, np.eye(4))

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import planner
 from planner.issues import TandemError
-from planner.reading import axes
+from planner.reading import axes, rails
 from tests import positioner_job, table_job
 from tests.track_job import ARM, TRACK, problem
 
@@ -62,8 +62,8 @@ WRONG = [
     ({"acceleration_mm_s2": -1}, {}, "acceleration_mm_s2: got -1"),
     ({"home_mm": 3001}, {}, "outside the range"),
     ({"range_mm": [-3, 3]}, {}, "values are mm: 3 m are 3000"),
-    ({}, {"gantry": {"axes": [TRACK, TRACK]}}, "state the axis along the work as its track"),
-    ({}, {"tracks": [TRACK, TRACK]}, "as of a gantry, is not written yet"),
+    ({}, {"gantry": {"axes": [TRACK, TRACK]}}, "is stated by its axes"),
+    ({}, {"tracks": [TRACK, TRACK]}, "an arm on two or three linear axes"),
     ({"unit": "ROB_1"}, {}, "the robot ROB_1"),
     ({}, {"base_auto": True}, "state its base"),
 ]
@@ -84,7 +84,7 @@ def test_a_list_of_tracks_in_a_cell_file_is_told_as_a_gantry(tmp_path: Path) -> 
     data["cell"]["arms"][0]["track"] = [TRACK, {**TRACK, "axis": [0, 0, 1]}]
     (tmp_path / "cell.yaml").write_text(yaml.safe_dump(data["cell"]))
     path.write_text(yaml.safe_dump({**data, "cell": "cell.yaml"}))
-    with pytest.raises(TandemError, match="is not written yet; state the axis along the work") as refused:
+    with pytest.raises(TandemError, match="is stated by its axes; axes") as refused:
         planner.load(path)
     (issue,) = refused.value.issues
     assert issue.code == "problem.field" and str(issue.field).endswith("arms.0.track")
@@ -136,9 +136,9 @@ def test_a_track_goes_along_by_a_share_of_the_way(tmp_path: Path, share: float) 
 def test_one_arm_alone_goes_along_and_only_in_work_that_takes_it(tmp_path: Path) -> None:
     made = problem(tmp_path, {**TRACK, "follow": 1})
     assert "and goes along while the arm works" in made.setups[0].steps[-1]
-    assert axes.following_faults(made) == []
+    assert rails.following_faults(made) == []
     trimmed = SimpleNamespace(name="edge", process="trim", arms=("left",), leaves=lambda stock: stock)
-    (fault,) = axes.following_faults(dataclasses.replace(made, operations=(trimmed, made.operations[0])))
+    (fault,) = rails.following_faults(dataclasses.replace(made, operations=(trimmed, made.operations[0])))
     assert fault.code == "problem.track" and fault.field == "operations.0"
     assert "trim is worked at standing" in fault.message
     path = tmp_path / "problem.yaml"
@@ -227,7 +227,7 @@ def test_axes_beyond_arms_without_rapid_or_krl_are_refused(tmp_path: Path) -> No
     cell = table_job.problem(tmp_path).cell
     arm = dataclasses.replace(cell.arms[0], given=dataclasses.replace(cell.arms[0].data, family="UR"))
     with pytest.raises(TandemError, match="written for ABB and KUKA controllers alone") as refused:
-        axes.track(axes.TrackFile.model_validate(TRACK), arm, 0)
+        rails.under(rails.TrackFile.model_validate(TRACK), None, arm, 0, ())
     assert {issue.code for issue in refused.value.issues} == {"problem.track"}
     with pytest.raises(TandemError, match="written for ABB and KUKA controllers alone") as refused:
         axes.turntable(axes.TurntableFile.model_validate(table_job.TABLE), [arm], cell.controller)

@@ -128,6 +128,25 @@ def _other_names(partner: Any) -> Any:
     return partner and dataclasses.replace(partner, arm=partner.other, other=partner.arm)
 
 
+def _first_off(station: Any) -> Any:
+    """The first external axis is a millimetre farther."""
+    return station and ((station[0][0], station[0][1] + 1.0), *station[1:])
+
+
+def _swapped(station: Any) -> Any:
+    """Two external axes have each other's values."""
+    return station and ((station[0][0], station[1][1]), (station[1][0], station[0][1]))
+
+
+def _in_metres(station: Any) -> Any:
+    return station and tuple((column, round(1e-3 * value, 4)) for column, value in station)
+
+
+def _other_columns(along: Any) -> Any:
+    """Directions of two external axes, each as that of the other."""
+    return dict(zip(along, reversed(along.values()), strict=True))
+
+
 RAPID: Final = (
     Fault("post_metres", "posed", {"post.steps:_written": _positions(_scaled(1e-3))}),
     Fault("post_rounded_to_mm", "posed", {"post.steps:_written": _positions(np.round)}),
@@ -168,6 +187,13 @@ RAPID: Final = (
         {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
     ),
     Fault("post_slack_off", "elastic", {"post.steps:_written": given(0, _slack_off)}),
+    Fault("gantry_value_off", "gantry", {"post.steps:_outer": result(_first_off)}),
+    Fault("gantry_values_swapped", "gantry", {"post.steps:_outer": result(_swapped)}),
+    Fault("gantry_values_swapped_krl", "gantry_krl", {"post.steps:_outer": result(_swapped)}),
+    Fault("gantry_in_metres", "gantry", {"post.steps:_outer": result(_in_metres)}),
+    Fault("gantry_order_reversed", "gantry", {"problem:in_turn": result(lambda names: names[::-1])}),
+    Fault("gantry_unit_off", "gantry", {"post.rapid.program:identifier": given(0, lambda u: f"{u}_2")}),
+    Fault("gantry_look_swapped", "gantry_krl", {"post.krl.syntax:robroot_check": given(2, _other_columns)}),
     Fault("post_every_second", "posed", {"post.steps:_kept": result(_every_second)}),
     Fault("post_every_second_cut", "wing", {"post.steps:_kept": result(_every_second)}),
     Fault("post_target_lost", "posed", {"post.steps:_kept": result(_one_lost)}),

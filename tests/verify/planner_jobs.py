@@ -18,7 +18,7 @@ import yaml
 from planner.catalogue.robots import data_dir, robot
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import Mesh, from_rpy, to_quaternion
-from tests import small_forming, urdf_text
+from tests import gantry_job, small_forming, urdf_text
 from tests.forming.shapes import cone
 from tests.milling import small_mill
 from tests.rhino_files import Model, curve, ruled_surface
@@ -535,6 +535,8 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
         folder, small_trim.data(outlines=[ROUND]), small_forming.dish()
     ),
     "posed_two": lambda folder: posed(folder, 2),
+    "gantry": gantry_job.made,
+    "gantry_krl": lambda folder: gantry_job.made(folder, **gantry_job.KUKA),
     "posed_krl": lambda folder: posed(folder, 1, kuka=True),
     "handshake": lambda folder: posed(folder, 2, handshake=True),
     "handshake_ur": lambda folder: posed(folder, 2, handshake=True, ur=True),

@@ -172,7 +172,7 @@ class Data:
     def start_pose(self, operation: OperationProgram, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Position (3,) [mm] and A, B, C (3,) [deg] of the TCP at joints (6,), as written."""
         flange = forward(self.task.robot, q)
-        if operation.arm.track is not None:  # the base is seen from where the foot is at value 0
+        if operation.arm.axes:  # the base is seen from where the foot is at values 0
             flange = inverse(self.task.base) @ operation.arm.base @ flange
         return written(inverse(self.base_pose(operation)[0]) @ flange @ operation.arm.tool.tcp)
 

@@ -170,8 +170,7 @@ class Main:
         self.partner = Partner.of(task, job)
         self.bodies: dict[str, list[str]] = {}
         self.speeds = outer_speeds(task, plan, problem)
-        rail = task.arm.track
-        self.along = None if rail is None else task.base[:3, :3].T @ rail.axis
+        self.along = {axis.column: task.base[:3, :3].T @ axis.axis for axis in task.arm.axes}
         self._held: Load | None = None
         self._stood: Outer | None = None
         self._at: FloatArray | None = None
@@ -250,9 +249,9 @@ class Main:
         if step.place == "start" and operation.track is not None:
             return [*out, f"PTP {self.data.start(operation, step.q, index + 1)}"]
         out.append(f"PTP {self.data.joint(step, index + 1)}")
-        if self.along is not None and step.station != self._stood:
+        if self.along and step.station != self._stood:
             self._stood = step.station
-            out += self._look()  # a track has taken the foot elsewhere
+            out += self._look()  # an axis has taken the foot elsewhere
         return out
 
     def _look(self) -> list[str]:

@@ -249,30 +249,33 @@ def ended(text: str, dialect: KrlDialect) -> list[str]:
     return [*shown, "LOOP", "HALT", "ENDLOOP"]
 
 
-def robroot_check(arm: str, dialect: KrlDialect, along: FloatArray | None = None) -> list[str]:
+def robroot_check(arm: str, dialect: KrlDialect, along: Mapping[int, FloatArray] | None = None) -> list[str]:
     """The program halts, whatever is started, until ``$ROBROOT`` is zero: by the length of its way, and by
     the sum of its angles, which no turn exceeds.
 
-    ``along`` (3,): the direction in ``$WORLD`` in which a track takes the arm. There ``$ROBROOT`` counts for
-    nothing, and ``$ROBROOT_C`` is where the foot is (KR C2 machine data, 2.1.9 $ERSYSROOT): it has to be what
-    E1 makes of that direction, by the sum of what is off along the axes.
+    ``along`` {column: (3,)}: directions in ``$WORLD`` in which external axes take the arm. There ``$ROBROOT``
+    counts for nothing, and ``$ROBROOT_C`` is where the foot is (KR C2 machine data, 2.1.9 $ERSYSROOT): it has
+    to be what the values make of these directions, by the sum of what is off along the axes of ``$WORLD``.
     """
-    root = "$ROBROOT" if along is None else "$ROBROOT_C"
+    root = "$ROBROOT_C" if along else "$ROBROOT"
     turned = f"tm_turn={'+'.join(f'ABS({root}.{a})' for a in 'ABC')}"
-    if along is None:
+    if not along:
         squares = "+".join(f"{root}.{axis}*{root}.{axis}" for axis in "XYZ")
-        shift = f"SQRT({squares})"
+        shifts = [f"tm_shift=SQRT({squares})"]
     else:
-        parts = zip("XYZ", np.round(along, ALONG_DECIMALS).tolist(), strict=True)
-        off = [
-            f"ABS({root}.{axis}{'+' if part < 0.0 else '-'}{abs(part):.{ALONG_DECIMALS}f}*$AXIS_ACT.E1)"
-            for axis, part in parts
-        ]
-        shift = "+".join(off)
-    looked = [f"tm_shift={shift}", turned]
-    names = (vocabulary.FOOT if along is None else vocabulary.FOOT_RIDES).filled(arm=arm)
+        off = []
+        for row, axis in enumerate("XYZ"):
+            parts = {column: round(float(way[row]), ALONG_DECIMALS) for column, way in along.items()}
+            taken = "".join(
+                f"{'+' if part < 0.0 else '-'}{abs(part):.{ALONG_DECIMALS}f}*$AXIS_ACT.E{column + 1}"
+                for column, part in sorted(parts.items())
+            )
+            off.append(f"ABS({root}.{axis}{taken})")
+        shifts = [f"tm_shift={off[0]}", *(f"tm_shift=tm_shift+{one}" for one in off[1:])]
+    looked = [*shifts, turned]
+    names = (vocabulary.FOOT_RIDES if along else vocabulary.FOOT).filled(arm=arm)
     if dialect == "krc2":
-        shown = comment((KRC2_FOOT if along is None else KRC2_FOOT_RIDES).format(arm=arm))
+        shown = comment((KRC2_FOOT_RIDES if along else KRC2_FOOT).format(arm=arm))
         after: list[str] = []
     else:
         shown = [

@@ -17,7 +17,6 @@ from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import (
-    TRACK_COLUMN,
     Carry,
     Job,
     Joints,
@@ -139,8 +138,8 @@ def data_lines(
     speed = outer = short(min(problem.settings.tcp_speed * 1e3, BLIND_SPEED * 1e3), 3)
     turning = str(_ENTRY_TURN_RATE)
     moved = outer_speeds(task, plan, problem)
-    if task.arm.track is not None:
-        outer = short(moved[TRACK_COLUMN].most * 1e3, 3)
+    if task.arm.axes:
+        outer = short(min(moved[axis.column].most for axis in task.arm.axes) * 1e3, 3)
     if task.table is not None:
         most = min(moved[axis.column].most for axis in task.table.axes.values())
         rate = min(np.rad2deg(most), _ENTRY_TURN_RATE)

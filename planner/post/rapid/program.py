@@ -302,8 +302,9 @@ class _Task:
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.unnamed else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        moved = (self.task.arm.track, self.task.table)
-        units = [f"ActUnit {identifier(one.unit)};" for one in moved if one is not None]
+        moved = [axis.unit for axis in self.task.arm.axes]
+        moved += [] if self.task.table is None else [self.task.table.unit]
+        units = [f"ActUnit {identifier(unit)};" for unit in dict.fromkeys(moved)]
         body += [*units, "EOffsOff;"] if units else []  # offsets of another program would shift the axes
         clear = (vocabulary.CLEAR if self.problem.setups[0].steps else vocabulary.READY).filled()
         if self.partner is not None:

@@ -90,8 +90,6 @@ _PRELUDE = (
 """What the main program begins with, and how faults name it."""
 _PRELUDE_REASON = "stop reactions and settings need"
 """Why they are needed, for faults."""
-TRACK_COLUMN = 0
-"""The external axis that is a track: E1."""
 _UNBOUNDED = 1.0
 """A length [m] that is no bound: for a corner that the angle alone decides."""
 
@@ -130,8 +128,8 @@ class Runner:
         self.works: dict[str, WorkObject] = {}
         self.here: _Pose | None = None
         self.outer: Outer = ()
-        self.stood: float | None = None
-        self.rode: float | None = None
+        self.stood: tuple[float, ...] | None = None
+        self.rode: tuple[float, ...] | None = None
         self.on: set[int] = set()
         self.carried = ""
         self.load_line = 0
@@ -361,15 +359,19 @@ class Runner:
         speed = Speed(math.inf, math.inf, 0.0, 0.0, share, self._outer_shares())
         target: JointTarget | StatusTarget = item.value
         self._move(line, "PTP", target, item.name, None, speed, _EXACT_STOP, "")
-        if self.panel.along is not None and target.external[TRACK_COLUMN] not in (self.stood, self.rode):
-            self.panel.looked = False  # where the track stands now is not known before the next look
-        self.stood, self.rode = float(target.external[TRACK_COLUMN]), None
+        if self.panel.along and self._under(target) not in (self.stood, self.rode):
+            self.panel.looked = False  # where the axes stand now is not known before the next look
+        self.stood, self.rode = self._under(target), None
         self.here, self.outer = None, ()
         if isinstance(target, StatusTarget):
             x, y, z = (1e3 * target.position).tolist()
             w, i, j, k = target.quaternion.tolist()
             self.here = _Pose((x, y, z), (w, i, j, k))
             self.outer = tuple(enumerate(target.external.tolist()))
+
+    def _under(self, target: RobTarget | JointTarget | StatusTarget) -> tuple[float, ...]:
+        """Values of the external axes that take the arm, as a target has them."""
+        return tuple(float(target.external[column]) for column in self.panel.along)
 
     def _straight(self, move: Straight) -> None:
         line = move.line
@@ -380,7 +382,7 @@ class Runner:
         zone, name = self._zone(move.corner)
         time = max(way / speed.tcp, turn / speed.turn)
         self._move(line, move.word, target, "", time, speed, zone, name)
-        self.here, self.outer, self.rode = there, move.outer, float(target.external[TRACK_COLUMN])
+        self.here, self.outer, self.rode = there, move.outer, self._under(target)
 
     def _spline(self, block: Spline) -> None:
         """The points of a spline block as moves: each takes its share of the block's time, and only the last

@@ -12,7 +12,7 @@ operator answers it: a dialog (krc4), or HALT in a mode of operation in which no
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -56,17 +56,17 @@ class Message(NamedTuple):
 
 class Panel:
     """Follows the statements of a program. ``arm``, ``others``: the names of its arm and of those that it may
-    wait for; ``along``: the direction in $WORLD in which its track takes it, None without one. `looked`: at
-    the robot's foot; `prepared`: messages have their options."""
+    wait for; ``along`` {column: direction in $WORLD} of the external axes that take it. `looked`: at the
+    robot's foot; `prepared`: messages have their options."""
 
     def __init__(
         self,
         dialect: str,
         arm: str,
         others: Sequence[str],
-        along: tuple[float, float, float] | None = None,
+        along: Mapping[int, tuple[float, float, float]] | None = None,
     ) -> None:
-        self.dialect, self.arm, self.others, self.along = dialect, arm, others, along
+        self.dialect, self.arm, self.others, self.along = dialect, arm, others, dict(along or {})
         self.looked = False
         self._question: list[str] = []
         self._reading = False
@@ -215,7 +215,7 @@ class Panel:
     def _foot(self, look: Foot) -> None:
         shift, turn, text = look.shift, look.turn, look.text
         self._aligned(look.along)
-        says = vocabulary.FOOT if self.along is None else vocabulary.FOOT_RIDES
+        says = vocabulary.FOOT_RIDES if self.along else vocabulary.FOOT
         wanted = says.filled(arm=self.arm) if self.dialect == "krc4" else ""
         if text != wanted:
             raise PanelError(f"$ROBROOT is looked at with the text {text!r}; wanted: {wanted!r}")
@@ -226,18 +226,29 @@ class Panel:
             raise PanelError(f"$ROBROOT may be off by {shift:g} mm and {turn:g} deg; allowed: {allowed}")
         self.looked = True
 
-    def _aligned(self, along: tuple[float, float, float] | None) -> None:
-        """Refuse a look that takes the arm for standing, or for going in another direction."""
-        if self.along is None:
-            if along is not None:
+    def _aligned(self, along: Sequence[tuple[int, tuple[float, float, float]]]) -> None:
+        """Refuse a look that takes the arm for standing, or for going in other directions, or by others."""
+        if not self.along:
+            if along:
                 raise PanelError("$ROBROOT_C is looked at, and the arm stands on no track; wanted: $ROBROOT")
             return
-        shown = ", ".join(f"{value:g}" for value in self.along)
-        if along is None:
-            raise PanelError(f"$ROBROOT is looked at, and a track moves the arm along ({shown}) by E1")
-        if max(abs(a - b) for a, b in zip(along, self.along, strict=True)) > syntax_tree.ALONG_ERROR:
-            got = ", ".join(f"{value:g}" for value in along)
-            raise PanelError(f"$ROBROOT_C is looked at along ({got}); the track goes along ({shown})")
+        if not along:
+            by = _directions(self.along.items())
+            raise PanelError(f"$ROBROOT is looked at, and axes move the arm along {by}")
+        columns = [column for column, _ in along]
+        same = sorted(columns) == sorted(self.along) and all(
+            max(abs(a - b) for a, b in zip(way, self.along[column], strict=True)) <= syntax_tree.ALONG_ERROR
+            for column, way in along
+        )
+        if not same:
+            got, wanted = _directions(along), _directions(self.along.items())
+            raise PanelError(f"$ROBROOT_C is looked at along {got}; axes move the arm along {wanted}")
+
+
+def _directions(along: Iterable[tuple[int, tuple[float, float, float]]]) -> str:
+    """Directions of external axes, in words."""
+    parts = (f"({', '.join(f'{v:g}' for v in way)}) by E{column + 1}" for column, way in along)
+    return " and ".join(parts)
 
 
 Found = Sequence[re.Match[str]]
@@ -306,14 +317,17 @@ _FOOT_VALUES = (
     "tm_turn=ABS($ROBROOT.A)+ABS($ROBROOT.B)+ABS($ROBROOT.C)",
 )
 """Statements that work out how far $ROBROOT is off zero."""
-_RIDDEN = r"ABS\s*\(\s*\$ROBROOT_C\.%s\s*([+-])\s*(\d(?:\.\d+)?)\s*\*\s*\$AXIS_ACT\.E1\s*\)"
+_TAKEN = r"[+-]\s*\d(?:\.\d+)?\s*\*\s*\$AXIS_ACT\.E[1-6]"
+_RIDDEN = rf"ABS\s*\(\s*\$ROBROOT_C\.%s\s*((?:{_TAKEN}\s*)+)\)"
+_PARTS = re.compile(r"([+-])\s*(\d(?:\.\d+)?)\s*\*\s*\$AXIS_ACT\.E([1-6])", re.IGNORECASE | re.ASCII)
 _RIDDEN_VALUES = (
-    re.compile(
-        r"tm_shift\s*=\s*" + r"\s*\+\s*".join(_RIDDEN % axis for axis in "XYZ"), re.IGNORECASE | re.ASCII
+    *(
+        re.compile(rf"tm_shift\s*=\s*{before}{_RIDDEN % axis}", re.IGNORECASE | re.ASCII)
+        for before, axis in (("", "X"), (r"tm_shift\s*\+\s*", "Y"), (r"tm_shift\s*\+\s*", "Z"))
     ),
     _row("tm_turn=ABS($ROBROOT_C.A)+ABS($ROBROOT_C.B)+ABS($ROBROOT_C.C)"),
 )
-"""The same of an arm on a track, less what E1 moves it by."""
+"""The same of an arm on external axes, less what these move it by."""
 _FOOT_LOOP = "WHILE (tm_shift><number>) OR (tm_turn><number>)"
 """The loop that goes on while it is."""
 _FOOT_MESSAGE = (
@@ -364,20 +378,33 @@ _SECOND_KEY = re.compile(
 
 
 def _foot(line: int, found: Found, text: str, ridden: bool = False) -> Statement:
-    along = None
+    rows = len(_RIDDEN_VALUES) if ridden else len(_FOOT_VALUES)
+    along: tuple[tuple[int, tuple[float, float, float]], ...] = ()
     if ridden:
-        first, again = (_along(found[k]) for k in (0, 10 if text else 4))
+        behind = rows + (2 + len(_FOOT_MESSAGE) if text else 2)
+        first, again = (_along(found[k : k + 3]) for k in (0, behind))
         if first != again:
             what = f"$ROBROOT_C is looked at along {first} first, and along {again} then"
             raise KrlValueError("type", what)
         along = first
-    return Foot(line, float(found[2][1]), float(found[2][2]), text, along)
+    return Foot(line, float(found[rows][1]), float(found[rows][2]), text, along)
 
 
-def _along(row: re.Match[str]) -> tuple[float, float, float]:
-    """The direction by which a row takes off what E1 moves."""
-    parts = [float(row[k + 1]) * (1.0 if row[k] == "-" else -1.0) for k in (1, 3, 5)]
-    return parts[0] + 0.0, parts[1] + 0.0, parts[2] + 0.0
+def _along(rows: Found) -> tuple[tuple[int, tuple[float, float, float]], ...]:
+    """The directions by which rows take off what external axes move, by their columns; raises
+    `KrlValueError` where X, Y and Z are not of the same axes, each once."""
+    parts = [
+        [(int(axis) - 1, (1.0 if sign == "-" else -1.0) * float(size) + 0.0) for sign, size, axis in found]
+        for found in (_PARTS.findall(row[1]) for row in rows)
+    ]
+    columns = [[column for column, _ in own] for own in parts]
+    if len(set(columns[0])) < len(columns[0]) or columns[1:] != columns[:1] * 2:
+        shown = "; ".join(", ".join(f"E{column + 1}" for column in own) for own in columns)
+        raise KrlValueError(
+            "type", f"$ROBROOT_C is looked at by {shown}; wanted: each axis once, in X, Y and Z"
+        )
+    ways = zip(*([size for _, size in own] for own in parts), strict=True)
+    return tuple(zip(columns[0], ((x, y, z) for x, y, z in ways), strict=True))
 
 
 _AXIS_OFF = (
@@ -473,7 +500,7 @@ PANEL_FORMS: tuple[Form, ...] = (
             *_RIDDEN_VALUES,
             *_rows("ENDWHILE", *_AFTER),
         ),
-        lambda line, found: _foot(line, found, found[7][1], ridden=True),
+        lambda line, found: _foot(line, found, found[9][1], ridden=True),
     ),
 )
 """All forms; of those that begin alike the one counts that goes on as the text does."""

@@ -101,11 +101,12 @@ def flow(
     signals: Signals,
     arm: str,
     others: Sequence[str] = (),
-    along: tuple[float, float, float] | None = None,
+    along: Mapping[int, tuple[float, float, float]] | None = None,
 ) -> tuple[tuple[Step, ...], frozenset[str]]:
     """Steps of the main program, and names of the programs that ran. ``base`` (4, 4): the robot's foot in the
-    world; ``arm``, ``others``: the names of its arm and of those that it may wait for; ``along``: the unit
-    vector in the foot's axes along which E1 moves the foot, None where it stands. For texts without faults.
+    world; ``arm``, ``others``: the names of its arm and of those that it may wait for; ``along``: unit
+    vectors in the foot's axes along which external axes move the foot, by their columns. For texts without
+    faults.
     Raises `FlowError`."""
     if text.main is None or text.data is None:
         return (), frozenset()

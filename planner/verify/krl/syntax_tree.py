@@ -106,13 +106,14 @@ class StopInterrupt(Statement):
 @dataclass(frozen=True, slots=True)
 class Foot(Statement):
     """The loop that halts as long as $ROBROOT is off zero: by `shift` [mm] or the sum of its angles by `turn`
-    [deg]. `text` is shown, "" where nothing is. `along`: of an arm on a track, $ROBROOT_C less that direction
-    times E1, in single steps along the axes of $WORLD, is what is looked at."""
+    [deg]. `text` is shown, "" where nothing is. `along`: of an arm on external axes, by their columns [from
+    0], $ROBROOT_C less these directions times their values, in single steps along the axes of $WORLD, is what
+    is looked at."""
 
     shift: float
     turn: float
     text: str
-    along: tuple[float, float, float] | None = None
+    along: tuple[tuple[int, tuple[float, float, float]], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from planner.issues import Issue
 from planner.problem import Cell, Pedestal, Setup, Stock
 from planner.tooling import Gripper
 from planner.verify.context import Context, Outcome, mm, rule
+from planner.verify.outer_axes import floor_of
 
 GRIP_FACTOR: Final = 3.0
 """A gripper holds so many times the weight of its block at least."""
@@ -94,9 +95,7 @@ def _stands(cell: Cell, stock: Stock, place: FloatArray, taken: bool) -> Iterato
     stands as it is stated to."""
     block = transform(place, _box_corners(stock))
     under = float(block[:, 2].min())
-    climbed = {a.name: (a.station or 0.0) * a.track.axis[2] for a in cell.arms if a.track is not None}
-    upright = [arm for arm in cell.arms if arm.base[2, 2] > 0.5]
-    floor = float(min([0.0, *(arm.base[2, 3] - climbed.get(arm.name, 0.0) for arm in upright)]))
+    floor = floor_of(cell)
     bodies = [transform(s.pose, corners(s)) for obstacle in cell.obstacles for s in obstacle.shapes]
     if stock.pedestal is not None:
         yield from _made(stock, stock.pedestal, place, under - floor, taken)

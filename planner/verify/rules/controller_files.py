@@ -18,8 +18,9 @@ from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import inverse
 from planner.issues import Issue
 from planner.problem import Controller
-from planner.verify.context import Context, Outcome, OuterAxis, at_step, mm, outer_axes, rule
+from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import CONTROLLER, TaskText, controllers
+from planner.verify.outer_axes import OuterAxis, outer_axes
 from planner.verify.programs.program_text import (
     Partner,
     Row,

@@ -1,10 +1,9 @@
-"""The rule on tracks under arms and a turntable or positioner under the block: who moves them, and where
-targets have them stand.
+"""The rule on tracks and gantries under arms and a turntable or positioner under the block: who moves them,
+and where targets have them stand.
 
 verify.external_axes: units, values and folded arms, from the text, and the place of the block that follows.
 Where arms and the block stand in all other rules is read here as well. Ways from station to station are for
-verify.track_way.
-"""
+verify.track_way."""
 
 from __future__ import annotations
 
@@ -16,25 +15,16 @@ from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
 from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
-from planner.verify.context import (
-    Context,
-    Outcome,
-    OuterAxis,
-    at_step,
-    mm,
-    outer_axes,
-    rule,
-)
+from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText
 from planner.verify.krl.flow import AXIS_LOOK
+from planner.verify.outer_axes import SAME_VALUE, OuterAxis, outer_axes, place_in_turn, slid
 from planner.verify.programs.steps import MOST_OUTER, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.verify.rapid.flow import AXES_CHECK
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25
 """Highest speed [m/s] of a track, and of what a turntable carries: people may be near."""
-SAME_VALUE = 1e-6
-"""Values [m, rad] that differ by no more are one station."""
 SLACK = 1.0 + 1e-6
 """Speeds may be higher by this factor: they are rounded."""
 OFF_HOME = {"mm": 1.0, "deg": 0.1}
@@ -55,12 +45,13 @@ def standing(context: Context) -> Context:
 
 @rule("verify.external_axes")
 def external_axes(context: Context) -> Outcome:
-    """A track, turntable or positioner is switched on once (RAPID), before anything moves, with offsets of
-    its axes switched off, and looked at right before the first move, which nothing follows unless it is at
-    home; each target has a value of each axis, within its range; it moves as the first thing of a setup,
-    alone, a positioner's turn axis before its tilt axis, what it carries at most at 250 mm/s, all arms folded
-    at home, and is at home at the end; the block is where the values have it. One that goes along moves with
-    straight moves, too."""
+    """A track, gantry, turntable or positioner is switched on once (RAPID), before anything moves, with
+    offsets of its axes switched off, and looked at right before the first move, which nothing follows unless
+    it is at home; each target has a value of each axis, within its range; it moves as the first thing of a
+    setup, alone, what it carries at most at 250 mm/s, all arms folded at home, and is at home at the end; the
+    block, and what axes carry, are where the values have them. A positioner's turn axis goes before its tilt
+    axis; of a gantry those that come nearer to home go first, from the arm down, then the others, from the
+    floor up. One that goes along moves with straight moves, too."""
     issues: list[Issue] = []
     told = []
     table = context.problem.cell.turntable
@@ -77,16 +68,14 @@ def external_axes(context: Context) -> Outcome:
     if table is not None:
         issues += _moved(context, table)
         issues += _turned(context, table)
-    nothing = "" if told else "no arm stands on a track, no block on a turntable"
+    issues += _left_behind(context)
+    nothing = "" if told else "no arm stands on a track or gantry, no block on a turntable"
     return Outcome(tuple(issues), where="; ".join(told), nothing=nothing)
 
 
 def _stations(context: Context, axis: OuterAxis) -> list[float]:
     """Where an axis stands in the setups [m, rad]."""
-    on = axis.carries
-    found = [
-        s.stock.stands.get(on) if on in (STOCK, TILT) else s.cell.arm(on).station for s in context.setups
-    ]
+    found = (setup.stands.get(axis.carries) for setup in context.setups)
     return [value for value in found if value is not None]
 
 
@@ -168,9 +157,10 @@ def _looks_at(axis: OuterAxis, look: SettingStep, dialect: str) -> bool:
 def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
     """What is wrong with the values of external axes, and with their moves."""
     before: MoveStep | None = None
+    moved: set[OuterAxis] = set()  # in a setup
     last = {axis.column: axis.home for axis in axes}
     came, here, off, since = -1, -1, False, 0  # since: the stage of the question before the axes' ways
-    gone: list[OuterAxis] = []  # axes that moved in a setup, in order
+    gone: list[tuple[int, int]] = []  # when axes that moved in a setup were to, in order
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
@@ -182,11 +172,13 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
             along = [axis for axis in axes if axis.follow is not None and not move.by_joints]
             changed = [axis for axis in axes if abs(values[axis] - last[axis.column]) > SAME_VALUE]
             going = [axis for axis in changed if axis not in along]  # verify.track_along has the others
-            gone, off, here = (gone, off, here) if index == here else ([], False, index)
+            gone, moved, off, here = (gone, moved, off, here) if index == here else ([], set(), False, index)
             asked = [place.stage for place in context.spans.asked[index] if came < place.stage < number]
             off, since = off or bool(asked), max(asked, default=since)
-            in_turn = off and (not gone or all(axes.index(gone[-1]) < axes.index(one) for one in going))
-            gone, off = [*gone, *going], off and bool(going)  # nothing comes between question and axes
+            places = [place_in_turn(axes, one, last[one.column], values[one]) for one in going]
+            in_turn = off and not moved & set(going) and (not gone or all(gone[-1] < one for one in places))
+            gone, moved = [*gone, *places], moved | set(going)
+            off = off and bool(going)  # nothing comes between question and axes
             if len(going) > 1:
                 what = f"{' and '.join(axis.unit for axis in going)} move at once, not one after the other"
                 yield at_step(_CODE, what, task, move)
@@ -274,6 +266,29 @@ def _unfit(move: MoveStep, axes: Sequence[OuterAxis], rapid: bool) -> str:
     if move.by_joints and isinstance(move.target, RobTarget):
         return f"{names} is moved to a pose, not to joints"
     return ""
+
+
+# ---- gantries ----
+
+
+def _left_behind(context: Context) -> Iterator[Issue]:
+    """Bodies of setups that are not where the text's values have the axes under arms take those of the
+    problem, by sums of its own."""
+    zero = {body.name: body for body in context.problem.cell.obstacles}
+    for index, setup in enumerate(context.setups):
+        now = {body.name: body for body in setup.cell.obstacles}
+        for arm in setup.cell.arms:
+            for on, rail in arm.rails.items():
+                for name in rail.carries:
+                    goes = slid(arm, arm.stands, on)
+                    off = max(
+                        float(np.abs(a.pose[:3, 3] + goes - b.pose[:3, 3]).max())
+                        + float(np.abs(a.pose[:3, :3] - b.pose[:3, :3]).max())
+                        for a, b in zip(zero[name].shapes, now[name].shapes, strict=True)
+                    )
+                    if off > SAME_VALUE:
+                        what = f"{name} is not where {rail.label} takes it in setup {index + 1}"
+                        yield Issue(_CODE, what, arm=arm.name)
 
 
 # ---- turntables ----

@@ -14,8 +14,9 @@ import numpy as np
 
 from planner.claims.trim import TrimsSheet
 from planner.issues import Issue
-from planner.verify.context import Context, Outcome, at_step, mm, outer_axes, rule
+from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText, sync_points
+from planner.verify.outer_axes import outer_axes
 from planner.verify.programs.steps import (
     UNUSED_AXIS,
     JointTarget,

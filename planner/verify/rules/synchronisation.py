@@ -13,10 +13,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import Stage, TaskText, sync_points
+from planner.verify.outer_axes import outer_values, slid
 from planner.verify.programs.steps import (
     MOST_OUTER,
     CallStep,
@@ -188,8 +188,9 @@ def _chosen(
 ) -> tuple[list[str], tuple[int, ...]]:
     """What is wrong with Status and Turn of a move's target, and axes near zero."""
     machine, base = arm_model.machine_of(task.arm.data), context.bases[task.arm.name]
-    if (track := task.arm.track) is not None:  # the first external axis, by what the target itself states
-        base = track.moved(base, float(target.external[0]) * MM)
+    if task.arm.axes:  # by what the target itself states
+        base = np.array(base)
+        base[:3, 3] += slid(task.arm, outer_values(task.arm, target.external))
     bits = f"S {target.status} and T {target.turn}"
     found = solutions(move, machine, base)
     if len(found.q) != 1:

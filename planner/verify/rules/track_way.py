@@ -1,29 +1,30 @@
-"""The rule on the way of tracks, turntables and positioners from station to station: what comes near on it.
+"""The rule on the way of tracks, gantries, turntables and positioners from station to station: what comes
+near.
 
-Distances are those of the planner's own looks; where these had what rides is held against turns of the
-proof's own. That what rides keeps off all that stands, what bears it excepted, is held against how far shapes
-go along the lines on which the distances were found: a line between two convex shapes shows that they are
-apart, whatever found it.
-"""
+Distances are those of the planner's own looks; where these had what rides is held against turns and sums of
+the proof's own. That what rides keeps off all that stands, what bears it excepted, is held against how far
+shapes go along the lines on which the distances were found: a line between two convex shapes shows that they
+are apart, whatever found it."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from planner.cell import axis_way, distance
+from planner.cell import axis_way
 from planner.cell.axis_way import AxisWay, Look
-from planner.cell.bodies import Solid
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import BoolArray, FloatArray, Shape, corners, transform
+from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
-from planner.problem import END, PLATE, STOCK, TILT, Cell, Setup, Turntable
-from planner.verify.context import Context, Outcome, OuterAxis, mm, outer_axes, rule
+from planner.problem import END, PLATE, STOCK, TILT, Arm, Cell, Setup, Turntable
+from planner.verify.context import Context, Outcome, mm, rule
+from planner.verify.lines_apart import SAME_WAY, nearer, reach, round_about, slides, standing
+from planner.verify.outer_axes import SAME_VALUE, OuterAxis, floor_of, moved_on, outer_axes, slid
 from planner.verify.programs.steps import MOST_OUTER
 from planner.verify.rules.clearance import of_one_arm
-from planner.verify.rules.external_axes import SAME_VALUE, clamped, off_place, spun
+from planner.verify.rules.external_axes import clamped, off_place, spun
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION
 
 _WAY = "verify.track_way"
@@ -32,21 +33,25 @@ BELOW_FOOT = 2e-3
 """What a base slides on is at most so far [m] above its foot,"""
 LEAST_UPRIGHT = 0.5
 """where its way leaves it a foot: where so much of its own z axis is square to that."""
-SAME_WAY = 1e-6
-"""Distances that differ by no more [m] are one."""
+SHOWN_POSES = 1e-6
+"""Poses of bodies that differ by no more [m, -] are one."""
+LEVEL = 1e-9
+"""Axes whose unit vectors' heights are less go level."""
 
 
 @rule("verify.track_way")
 def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
-    """On the way of a track, turntable or positioner from station to station bodies keep their clearance, all
-    arms folded at home; what is tilted keeps it from the floor, too. Where looks had what rides is held
-    against the values by turns of the proof's own, and shapes that ride against all that stand but those that
-    bear them, along lines. The base of a track that goes along keeps it there, too."""
+    """On the way of a track, turntable or positioner, and of each axis of a gantry, from station to station
+    bodies keep their clearance, all arms folded at home; what is tilted, raised or lowered keeps it from the
+    floor, too. What axes carry is where sums of the proof's own have it, in each setup. Where looks had what
+    rides is held against the values by such sums and turns, and shapes that ride against all that stand but
+    those that bear them, along lines. The base of a track that goes along keeps it there, too."""
     limit = context.problem.settings.clearance
     issues: list[Issue] = []
     worst, where, looks = np.inf, "", 0
     at = context.problem.homes
     for index, setup in enumerate(context.setups):
+        issues += [Issue(_WAY, what) for what in _astray(context, models(index), setup)]
         for axis, ends in _goes(context, index, setup, at):
             model = _before(context, models(index), setup, at)
             way = _way(model, setup, at, axis, ends, limit)
@@ -54,7 +59,7 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
             if way.least < worst:
                 worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
             on = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
-            arm = None if axis.carries in (STOCK, TILT) else axis.carries
+            arm = axis.arm
             if way.least < limit or not way.clear:
                 near = f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
                 issues.append(
@@ -64,14 +69,15 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
             if not strayed and way.clear:
                 table, tilt = setup.cell.turntable, at.get(TILT, 0.0)
                 if arm is not None:
-                    strayed = _base_into(model, context.bases[arm], axis, way, limit)
+                    strayed = _rider_into(context, model, at, axis, way, limit)
                 elif table is not None:
                     strayed = _block_into(model, table, tilt, axis, way, limit)
             if strayed:
                 issues.append(Issue(_WAY, on + strayed, arm=arm))
             at = {**at, axis.carries: ends[1]}
         for axis, ends in _along(context, index, setup):
-            model = models(index).with_bases({axis.carries: _base(context, setup, axis, ends[0])})
+            rider = setup.cell.arm(axis.carries)
+            model = models(index).with_bases({rider.name: _base(context, rider, {axis.carries: ends[0]})})
             way = _bare(model, setup, axis, ends, limit)
             looks += len(way.looked)
             if way.least < worst:
@@ -80,7 +86,7 @@ def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
             near = f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
             strayed = "" if way.least >= limit and way.clear else near
             strayed = strayed or _strayed(context, setup.cell, index, at, axis, ends, way)
-            strayed = strayed or _base_into(model, context.bases[axis.carries], axis, way, limit)
+            strayed = strayed or _rider_into(context, model, at, axis, way, limit)
             if strayed:
                 issues.append(Issue(_WAY, on + strayed, arm=axis.carries))
             ended = context.problem.stations.get(setup.operations[0], {}).get(f"{axis.carries}{END}")
@@ -98,8 +104,7 @@ def _goes(
     table, going = context.problem.cell.turntable, []
     for arm in setup.cell.arms:
         for axis in outer_axes(arm, table):
-            own = setup.stock.stands
-            value = own.get(axis.carries, arm.station)
+            value = setup.stands.get(axis.carries)
             if value is not None and abs(value - at[axis.carries]) > SAME_VALUE:
                 going.append(
                     (_arrives(context, index, arm.name, axis, value), axis, (at[axis.carries], value))
@@ -125,10 +130,11 @@ def _along(context: Context, index: int, setup: Setup) -> list[tuple[OuterAxis, 
     return out
 
 
-def _base(context: Context, setup: Setup, axis: OuterAxis, value: float) -> FloatArray:
-    """Where the base of an arm stands (4, 4) at a value [m] of its track."""
-    track, base = setup.cell.arm(axis.carries).track, context.bases[axis.carries]
-    return base if track is None else track.moved(base, value)
+def _base(context: Context, arm: Arm, values: Mapping[str, float]) -> FloatArray:
+    """Where the base of an arm stands (4, 4) at values [m] of the axes under it."""
+    out = np.array(context.bases[arm.name])
+    out[:3, 3] += slid(arm, values)
+    return out
 
 
 def _bare(
@@ -136,31 +142,31 @@ def _bare(
 ) -> AxisWay:
     """The way of a base alone: the rest of the arm is looked at as it works (verify.clearance)."""
     homes = {other.name: other.home for other in setup.cell.arms}
-    track = setup.cell.arm(axis.carries).track
     bodies = sorted({solid.body for solid in model.solids})
     every = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
-    direction = np.zeros(3) if track is None else track.axis
-    return axis_way.along(model, axis.carries, direction, ends, homes, limit, every)
+    return axis_way.along(model, axis.carries, ends, homes, limit, every)
 
 
-def _arrives(context: Context, index: int, arm: str, axis: OuterAxis, value: float) -> int:
-    """The first stage of a setup in which the task of an arm has an axis at a value."""
+def _arrives(context: Context, index: int, arm: str, axis: OuterAxis, value: float) -> tuple[int, int]:
+    """The first stage of a setup, and the move in it, in which the task of an arm has an axis at a value."""
     for number, _, task, moves in context.moves():
         if task.arm.name == arm and int(context.spans.of_stage[number]) == index:
-            values = (axis.scale * float(move.target.external[axis.column]) for move in moves)
-            if any(abs(there - value) <= SAME_VALUE for there in values):
-                return number
-    return len(context.job.stages)
+            values = [axis.scale * float(move.target.external[axis.column]) for move in moves]
+            there = [k for k, one in enumerate(values) if abs(one - value) <= SAME_VALUE]
+            if there:
+                return number, there[0]
+    return len(context.job.stages), 0
 
 
 def _before(context: Context, model: CellModel, setup: Setup, at: dict[str, float]) -> CellModel:
     """The model of a setup with all axes where they are before one of them goes, ``at``."""
-    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
-    model = model.with_bases({n: t.moved(context.bases[n], at[n]) for n, t in tracks.items()})
+    on = [arm for arm in setup.cell.arms if arm.axes]
+    model = model.with_bases({arm.name: _base(context, arm, at) for arm in on})
+    goes = moved_on(setup.cell, at, setup.stands)
+    model = model.with_moved({name: way @ model.motion(name) for name, way in goes.items()})
     table = setup.cell.turntable
-    if table is None or not setup.stock.stands:
-        return model
-    return axis_way.stood(model, table, at, setup.stock.stands)
+    under = {} if table is None else {name: setup.stock.stands[name] for name in table.axes}
+    return axis_way.stood(model, {name: at[name] for name in under}, under) if under else model
 
 
 def _way(
@@ -176,9 +182,8 @@ def _way(
     table = setup.cell.turntable
     if table is not None and axis.carries in table.axes:
         return axis_way.turning(model, table, axis.carries, at.get(TILT, 0.0), ends, homes, limit)
-    tracks = {a.name: a.track for a in setup.cell.arms if a.track is not None}
     itself = of_one_arm(model)  # verify.own_clearance has these, which the way does not change
-    return axis_way.along(model, axis.carries, tracks[axis.carries].axis, ends, homes, limit, itself)
+    return axis_way.along(model, axis.carries, ends, homes, limit, itself)
 
 
 def _strayed(
@@ -196,17 +201,12 @@ def _strayed(
     if abs(first - ends[0]) > SAME_VALUE or (way.clear and abs(last - ends[1]) > SAME_VALUE):
         return f"it was looked at from {axis.shown(first)} to {axis.shown(last)}"
     table, place = context.problem.cell.turntable, clamped(context, index)
-    if table is None or axis.carries not in table.axes:
-        track = cell.arm(axis.carries).track
-        for look in way.looked:
-            wanted, (pose,) = np.array(context.bases[axis.carries]), look.poses.values()
-            if track is not None:
-                wanted[:3, 3] += look.value * track.axis
-            if not np.allclose(pose, wanted, rtol=0.0, atol=SAME_VALUE):
-                return f"the base was looked at elsewhere than it is at {axis.shown(look.value)}"
-        return ""
+    if axis.arm is not None:
+        return _off_sum(context, cell, cell.arm(axis.arm), at, axis, way)
     zero = {body.name: body for body in context.problem.cell.obstacles}
     now = {body.name: body for body in cell.obstacles}
+    if table is None:
+        return "nothing says what it turns"
     tips = np.concatenate([np.zeros((1, 3)), np.eye(3)])
     for look in way.looked:
         here = {**at, axis.carries: look.value}
@@ -227,33 +227,116 @@ def _strayed(
     return ""
 
 
-def _base_into(model: CellModel, base: FloatArray, axis: OuterAxis, way: AxisWay, limit: float) -> str:
-    """What the base of an arm may come nearer to than ``limit`` [m] on a way that looks found clear; ``base``
-    (4, 4): where it is at value 0. Shapes of obstacles that end below its foot are left out: below a plane
-    along the way, in which the foot stays."""
-    track = model.cell.arm(axis.carries).track
-    name = f"{axis.carries}/base_link"
-    own = [solid for solid in model.solids if solid.body == name]
-    if track is None or not own:
+def _off_sum(
+    context: Context, cell: Cell, arm: Arm, at: Mapping[str, float], axis: OuterAxis, way: AxisWay
+) -> str:
+    """Looks that had a base, or what is carried, elsewhere than values have them: where the problem has them
+    at 0, moved by the sum of all values times their directions."""
+    foot, names = f"{arm.name}/base_link", list(arm.rails)
+    riding = {body for on in names[names.index(axis.carries) :] for body in arm.rails[on].carries}
+    now = {body.name: body for body in cell.obstacles}
+    for look in way.looked:
+        here = {**at, axis.carries: look.value}
+        if missing := {foot, *riding} ^ set(look.poses):
+            return f"it was looked at without {', '.join(sorted(missing))}"
+        off = float(np.abs(look.poses[foot] - _base(context, arm, here)).max())
+        if off > SAME_VALUE:
+            return f"the base was looked at elsewhere than it is at {axis.shown(look.value)}"
+        for name, wanted in _carried(context, arm, here).items():
+            if name in riding:
+                there = np.stack([look.poses[name] @ shape.pose for shape in now[name].shapes])
+                if float(np.abs(there - wanted).max()) > SHOWN_POSES:
+                    return f"{name} was looked at elsewhere than it is at {axis.shown(look.value)}"
+    return ""
+
+
+def _carried(context: Context, arm: Arm, values: Mapping[str, float]) -> dict[str, FloatArray]:
+    """Where values [m] have the shapes (K, 4, 4) of the bodies that the axes under an arm carry."""
+    zero = {body.name: body for body in context.problem.cell.obstacles}
+    out = {}
+    for on, rail in arm.rails.items():
+        for name in rail.carries:
+            out[name] = np.stack([shape.pose for shape in zero[name].shapes])
+            out[name][:, :3, 3] += slid(arm, values, on)
+    return out
+
+
+def _astray(context: Context, model: CellModel, setup: Setup) -> Iterator[str]:
+    """What is wrong with where the model of a setup has what axes under arms carry: as the proof knows it,
+    and as Drake does, which measures some distances."""
+    known = model.poses({})
+    drake = model.checker.UpdatePositions(np.concatenate([model.cell.arm(a).home for a in model.arms]))
+    now = {body.name: body for body in model.cell.obstacles}
+    for arm in setup.cell.arms:
+        for name, wanted in _carried(context, arm, arm.stands).items():
+            seen = model.plant.EvalBodyPoseInWorld(drake, model.body(name)).GetAsMatrix4()
+            for pose in (known[name][0], np.asarray(seen)):
+                there = np.stack([pose @ shape.pose for shape in now[name].shapes])
+                if float(np.abs(there - wanted).max()) > SHOWN_POSES:
+                    yield f"{name} stands elsewhere in setup {setup.number} than the axes under it have it"
+                    break
+
+
+def _rider_into(
+    context: Context, model: CellModel, at: Mapping[str, float], axis: OuterAxis, way: AxisWay, limit: float
+) -> str:
+    """What the base of an arm, or what rides with it, may come nearer to than ``limit`` [m] on a way that
+    looks found clear; ``at``: where all axes are before it. For the base shapes of obstacles that end below
+    its foot are left out: below a plane along the way, in which the foot stays; for what is carried those
+    that it slides along, beside such a plane. What goes up or down keeps off the floor at both ends."""
+    arm, foot = model.cell.arm(str(axis.arm)), f"{axis.arm}/base_link"
+    line = np.array(axis.way)
+    names = list(arm.rails)
+    riding = {foot, *(body for on in names[names.index(axis.carries) :] for body in arm.rails[on].carries)}
+    own = [solid for solid in model.solids if solid.body in riding]
+    still, there = standing(model, riding)
+    if not own:
         return ""
-    still, there = _standing(model, {name})
-    up = base[:3, 2] - (base[:3, 2] @ track.axis) * track.axis
-    length = float(np.linalg.norm(up))
-    up = up / max(length, LEAST_UPRIGHT)
-    foot = min(-_reach(solid.shape, base @ solid.shape.pose, -up) for solid in own)
-    bodies = {body.name for body in model.cell.obstacles} if length >= LEAST_UPRIGHT else set()
-    low = [
-        solid.body in bodies and _reach(solid.shape, pose, up) <= foot + BELOW_FOOT + SAME_WAY
-        for solid, pose in zip(still, there, strict=True)
-    ]
+    on_axis = {body: on for on, rail in arm.rails.items() for body in rail.carries}
+    built = {on: slid(arm, arm.stands, on) for on in names}  # where the cell of the model has them
 
     def placed(look: Look) -> list[FloatArray]:
-        here = np.array(base)
-        here[:3, 3] += look.value * track.axis
-        return [here @ solid.shape.pose for solid in own]
+        here = {**at, axis.carries: look.value}
+        base, out = _base(context, arm, here), []
+        for solid in own:
+            pose = np.array(solid.shape.pose)
+            if solid.body == foot:
+                pose = base @ pose
+            else:
+                pose[:3, 3] += slid(arm, here, on_axis[solid.body]) - built[on_axis[solid.body]]
+            out.append(pose)
+        return out
 
-    left_out = np.broadcast_to(np.array(low, dtype=bool), (len(own), len(still)))
-    return _nearer(axis, way, (own, placed), (still, there), left_out, 1.0, limit)
+    begin = placed(way.looked[0])
+    base = _base(context, arm, dict(at))
+    up = base[:3, 2] - (base[:3, 2] @ line) * line
+    length = float(np.linalg.norm(up))
+    up = up / max(length, LEAST_UPRIGHT)
+    feet = [-reach(s.shape, pose, -up) for s, pose in zip(own, begin, strict=True) if s.body == foot]
+    bodies = {body.name for body in model.cell.obstacles} if length >= LEAST_UPRIGHT else set()
+    most = min(feet, default=0.0) + BELOW_FOOT + SAME_WAY
+    low = np.array(
+        [
+            solid.body in bodies and reach(solid.shape, pose, up) <= most
+            for solid, pose in zip(still, there, strict=True)
+        ],
+        dtype=bool,
+    )
+    left_out = np.zeros((len(own), len(still)), bool)
+    for i, one in enumerate(own):
+        if one.body == foot:
+            left_out[i] = low
+        else:
+            pairs = zip(still, there, strict=True)
+            left_out[i] = [slides((one.shape, begin[i]), (two.shape, pose), line) for two, pose in pairs]
+    if abs(line[2]) > LEVEL:
+        floor = floor_of(model.cell)
+        for look in (way.looked[0], way.looked[-1]):
+            for solid, pose in zip(own, placed(look), strict=True):
+                high = -reach(solid.shape, pose, np.array([0.0, 0.0, -1.0])) - floor
+                if solid.body != foot and high < limit - SAME_WAY:
+                    return f"{solid.body} is {mm(high):.3f} mm above the floor at {axis.shown(look.value)}"
+    return nearer(axis, way, (own, placed), (still, there), left_out, 1.0, limit)
 
 
 def _block_into(
@@ -270,7 +353,7 @@ def _block_into(
     centre, along = ends[0], ends[1] - ends[0]
     riding = set(way.looked[0].poses)
     own = [solid for solid in model.solids if solid.body in riding]
-    still, there = _standing(model, riding if axis.carries == TILT else {*riding, PLATE})
+    still, there = standing(model, riding if axis.carries == TILT else {*riding, PLATE})
     if not own or not still:
         return ""
 
@@ -281,83 +364,12 @@ def _block_into(
     left_out = np.zeros((len(own), len(still)), bool)
     for i, one in enumerate(own if axis.carries == TILT else ()):
         for j, two in enumerate(still if one.body not in axis_way.RIDERS else ()):
-            past = -_reach(one.shape, begin[i], -along) - _reach(two.shape, there[j], along)
-            before = -_reach(two.shape, there[j], -along) - _reach(one.shape, begin[i], along)
+            past = -reach(one.shape, begin[i], -along) - reach(two.shape, there[j], along)
+            before = -reach(two.shape, there[j], -along) - reach(one.shape, begin[i], along)
             left_out[i, j] = -SAME_WAY < max(past, before) < axis_way.STANDING_GAP_M
             left_out[i, j] |= any(
-                _round(s.shape, at, centre, along) for s, at in ((one, begin[i]), (two, there[j]))
+                round_about(s.shape, at, centre, along) for s, at in ((one, begin[i]), (two, there[j]))
             )
     tips = np.concatenate([transform(at, corners(s.shape)) for s, at in zip(own, begin, strict=True)])
     lever = float(np.linalg.norm(np.cross(tips - centre, along), axis=1).max())
-    return _nearer(axis, way, (own, placed), (still, there), left_out, lever, limit)
-
-
-def _nearer(
-    axis: OuterAxis,
-    way: AxisWay,
-    rides: tuple[Sequence[Solid], Callable[[Look], list[FloatArray]]],
-    stands: tuple[Sequence[Solid], list[FloatArray]],
-    left_out: BoolArray,
-    lever: float,
-    limit: float,
-) -> str:
-    """Shapes that ride, and shapes that stand, of which no line shows that they keep ``limit`` [m] apart at
-    each look and, as no point rides farther than ``lever`` [m, m/rad] by a value of 1, between two; empty
-    where there are none. With each kind of shapes: where they are. Pairs (R, F) that are ``left_out``."""
-    (own, placed), (still, there) = rides, stands
-    first, second = np.nonzero(~left_out)
-    if not len(first):
-        return ""
-    cores = distance.cores([*own, *still])
-    before: tuple[float, float] | None = None
-    for look in way.looked:
-        at = placed(look)
-        poses = np.stack([*at, *there])
-        behind = second + len(own)
-        lines = distance.distances(cores, first, behind, poses[first], poses[behind])[1]
-        apart = [
-            -_reach(own[i].shape, at[i], -line) - _reach(still[j].shape, there[j], line)
-            for i, j, line in zip(first.tolist(), second.tolist(), lines, strict=True)
-        ]
-        worst = int(np.argmin(apart))
-        bound = gap = float(apart[worst])
-        if before is not None:
-            bound = min(gap, 0.5 * (before[1] + gap - lever * abs(look.value - before[0])))
-        if bound < limit - SAME_WAY:
-            what = (
-                f"{own[int(first[worst])].body} keeps {mm(limit):g} mm off {still[int(second[worst])].body}"
-            )
-            return f"nothing shows that {what} at {axis.shown(look.value)}"
-        before = look.value, gap
-    return ""
-
-
-def _standing(model: CellModel, but: set[str]) -> tuple[list[Solid], list[FloatArray]]:
-    """Solids of bodies that stand, as no link, tool or block that an arm holds does, and where they are."""
-    poses = model.poses({})
-    held = {"stock"} if model.stock.held_by is not None else set[str]()
-    own = [
-        solid
-        for solid in model.solids
-        if ("/" not in solid.body or solid.body.endswith("/base_link")) and solid.body not in but | held
-    ]
-    return own, [poses[s.body][0] @ s.shape.pose for s in own]
-
-
-def _round(shape: Shape, pose: FloatArray, centre: FloatArray, along: FloatArray) -> bool:
-    """Whether a shape at a pose (4, 4) is round about an axis."""
-    aside = float(np.linalg.norm(np.cross(pose[:3, 3] - centre, along)))
-    skew = 0.0 if shape.kind == "sphere" else float(np.linalg.norm(np.cross(pose[:3, 2], along)))
-    return shape.kind in ("sphere", "cylinder", "capsule") and max(aside, skew) < SAME_WAY
-
-
-def _reach(shape: Shape, pose: FloatArray, line: FloatArray) -> float:
-    """How far [m] a shape at a pose (4, 4) goes along a line (3,), from the origin: in closed form."""
-    seen, middle = line @ pose[:3, :3], float(line @ pose[:3, 3])
-    if shape.vertices is not None:
-        return middle + float((shape.vertices @ seen).max())
-    if shape.kind == "box":
-        return middle + 0.5 * float(np.abs(seen) @ np.asarray(shape.size))
-    long = 0.5 * shape.size[1] * abs(float(seen[2])) if len(shape.size) > 1 else 0.0
-    across = float(np.hypot(seen[0], seen[1])) if shape.kind == "cylinder" else float(np.linalg.norm(line))
-    return middle + long + shape.size[0] * across
+    return nearer(axis, way, (own, placed), (still, there), left_out, lever, limit)

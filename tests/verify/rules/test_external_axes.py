@@ -171,7 +171,7 @@ def test_a_wrong_track_is_refused(prover: Prover, name: str) -> None:
 
 
 def test_a_unit_that_the_cell_does_not_have_is_refused(prover: Prover) -> None:
-    plain = dataclasses.replace(prover.problem.cell.arms[0], track=None)
+    plain = dataclasses.replace(prover.problem.cell.arms[0], axes=())
     cell = dataclasses.replace(prover.problem.cell, arms=(plain,))
     other = Prover(dataclasses.replace(prover.problem, cell=cell), prover.claims)
     codes = {issue.code for issue in other.prove(track_job.planned().programs).issues}

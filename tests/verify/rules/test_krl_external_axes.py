@@ -287,7 +287,7 @@ def test_programs_of_another_track_are_refused(tracked: Prover, name: str) -> No
     """The same text for a cell whose track is another one."""
     arm = tracked.problem.cell.arms[0]
     assert arm.track is not None
-    other = dataclasses.replace(arm, track=dataclasses.replace(arm.track, **OTHERS[name]))
+    other = dataclasses.replace(arm, axes=(dataclasses.replace(arm.track, **OTHERS[name]),))
     cell = dataclasses.replace(tracked.problem.cell, arms=(other,))
     made = Prover(dataclasses.replace(tracked.problem, cell=cell), tracked.claims)
     word = "syntax" if name == "direction" else "external_axes"

@@ -258,7 +258,7 @@ def _on(
     problem, cell = prover.problem, prover.problem.cell
     arm = cell.arms[0]
     assert arm.track is not None
-    arm = dataclasses.replace(arm, track=dataclasses.replace(arm.track, **(track or {})))
+    arm = dataclasses.replace(arm, axes=(dataclasses.replace(arm.track, **(track or {})),))
     bodies = cell.obstacles
     if obstacle is not None:
         made = ObstacleFile.model_validate({"name": "post", "shapes": [obstacle]})

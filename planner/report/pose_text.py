@@ -1,0 +1,19 @@
+"""Points and poses as text, for tables."""
+
+from __future__ import annotations
+
+from planner.geometry.arrays import FloatArray, to_quaternion, to_rpy
+from planner.geometry.units import DEG, MM
+from planner.report import markup
+
+
+def pose_cells(pose: FloatArray) -> tuple[str, str, str]:
+    """Position [mm], roll-pitch-yaw [deg] and quaternion of a pose (4, 4) as text."""
+    turn = ", ".join(markup.fixed(float(v) / DEG, 3) for v in to_rpy(pose[:3, :3]))
+    quaternion = ", ".join(markup.fixed(float(v), 6) for v in to_quaternion(pose[:3, :3]))
+    return point(pose[:3, 3]), turn, quaternion
+
+
+def point(at: FloatArray) -> str:
+    """A point (3,) [m] in millimetres."""
+    return ", ".join(markup.fixed(float(v) / MM, 2) for v in at)
