@@ -274,6 +274,7 @@ class _Builder:
                 stop,
                 meets,
                 segments,
+                keep,
                 tuple(self.steps[arm]),
                 stands[arm],
             )

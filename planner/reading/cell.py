@@ -449,12 +449,11 @@ def build(spec: CellFile, folder: Path) -> Cell:
 
 def _driven(data: RobotData, arm: ArmFile, number: int) -> RobotData:
     """The robot of an arm that joint trajectories drive. Raises :class:`TandemError` (``problem.field``) for
-    an arm that rides on a track or whose sag is made up for, which trajectories are not written for."""
-    for field, stated in (("track", arm.track), ("compensate_sag", arm.compensate_sag)):
-        if stated is not None:
-            what = f"{field} of arm {arm.name}: trajectories (controller: {{language: ros}}) are written for "
-            what += "arms that stand still and do not bend; leave it out, or take the arm's own language"
-            raise TandemError(Issue("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name))
+    an arm that rides on a track, which trajectories are not written for."""
+    if arm.track is not None:
+        what = f"track of arm {arm.name}: trajectories (controller: {{language: ros}}) are written for arms "
+        what += "that stand still; leave it out, or take the arm's own language"
+        raise TandemError(Issue("problem.field", what, field=f"arms.{number}.track", arm=arm.name))
     return dataclasses.replace(data, family="ROS")
 
 
