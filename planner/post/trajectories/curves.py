@@ -43,8 +43,8 @@ TOOL_SPEED_USED: Final = 0.99
 """Share of the tools' speeds that may be used."""
 LEAST_FEED_USED: Final = 1.04
 """So many times as long as its least feed allows a way may take, as a whole,"""
-LONG_WAY: Final = 1e-3
-"""from point to point, and on ways that are longer [m] everywhere,"""
+LONG_TIME: Final = 0.004
+"""and in each such time [s],"""
 CREEPING: Final = 0.12
 """and at no place of it the joints are slower than this share of the mean speed there."""
 MARK: Final = 0.3
@@ -53,6 +53,10 @@ SOON: Final = 1e-6
 """Time [s] over which the speed of such points is taken."""
 CORNER_COSINE: Final = float(np.cos(np.deg2rad(15.0)))
 """Joints whose speeds turn by more than this behind a target have a corner there,"""
+AT_CORNERS: Final = 0.9
+"""Share of the speed beside it that work with a least feed keeps at a corner,"""
+MOST_AT_CORNERS: Final = 1.5
+"""but no more than so many times the mean of both velocities there."""
 CORNER_SHARE: Final = 0.25
 """which takes at most so much of the moves beside it."""
 _SHARES: Final = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
@@ -260,9 +264,10 @@ def _along(some: FloatArray, other: FloatArray, weight: FloatArray) -> FloatArra
     )
 
 
-def _velocities(points: _Points) -> FloatArray:
+def _velocities(points: _Points, even: bool) -> FloatArray:
     """Velocities (P, D): of splines with continuous accelerations, from rest to rest, and from corner to
-    corner, at which speeds are the mean of those before and behind."""
+    corner, at which speeds are the mean of those before and behind; for an ``even`` feed in direction alone,
+    as far as :data:`AT_CORNERS` goes."""
     q, span = points.q, points.span
     t = np.append(0.0, np.cumsum(span))
     v = np.zeros_like(q)
@@ -275,6 +280,11 @@ def _velocities(points: _Points) -> FloatArray:
         v[some] = CubicSpline(t[some], q[some], axis=0, bc_type=((1, low), (1, high)))(t[some], 1)
         v[a], v[b] = low, high
     v[corners] = 0.5 * (v[corners - 1] + v[corners + 1])
+    if even and len(corners):
+        size = np.linalg.norm(v, axis=1)
+        due = AT_CORNERS * np.minimum(size[corners - 1], size[corners + 1])
+        factor = np.clip(due / np.maximum(size[corners], 1e-12), 1.0, MOST_AT_CORNERS)
+        v[corners] *= factor[:, None]
     return v
 
 
@@ -283,7 +293,7 @@ def _timed(arms: Sequence[Driven], points: _Points, wanted: Wanted) -> tuple[_Po
     fastest = np.concatenate([arm.robot.velocity for arm in arms]) * SPEED_USED
     quickest = np.concatenate([arm.robot.acceleration for arm in arms]) * ACCELERATION_USED
     for _ in range(_STRETCHES):
-        v = _velocities(points)
+        v = _velocities(points, wanted.even)
         over = _over(arms, points, v, fastest, quickest, wanted)
         if over.max() <= 1.0:
             return points, v
@@ -346,10 +356,7 @@ def _keeps_up(arms: Sequence[Driven], points: _Points, v: FloatArray, wanted: Wa
     bound = asked & (wanted.duration * wanted.least <= LEAST_FEED_USED)
     bound[[0, -1]] = False
     for arm, floor in zip(arms, wanted.slowest, strict=True):
-        place = arm.tool(way)[..., :3, 3]
-        whole = np.linalg.norm(place[:, -1] - place[:, 0], axis=1)
-        steps = np.linalg.norm(np.diff(place, axis=1), axis=2).min(axis=1) * _PIECES
-        slowest = np.where(whole > LONG_WAY, steps, whole) / points.span
+        slowest = _slowest(arm.tool(way)[..., :3, 3], points.span)
         late = np.flatnonzero(bound[row] & (slowest < floor[row] / LEAST_FEED_USED))
         if len(late):
             raise NotKeptError(int(row[late[0]]), "the tool would fall below its least feed")
@@ -363,6 +370,18 @@ def _keeps_up(arms: Sequence[Driven], points: _Points, v: FloatArray, wanted: Wa
     creeps = np.flatnonzero(stands & wanted.melts[row])
     if len(creeps):
         raise NotKeptError(int(points.end[creeps[0] + 1]), "joints would come near to a standstill")
+
+
+def _slowest(place: FloatArray, span: FloatArray) -> FloatArray:
+    """The least mean speeds (P - 1,) [m/s] of places (P - 1, S, 3), at even times, over :data:`LONG_TIME` at
+    least."""
+    count, out = place.shape[1] - 1, np.empty(len(span))
+    parts = 2 ** np.floor(np.log2(np.clip(span / LONG_TIME, 1.0, count))).astype(np.int64)
+    for part in np.unique(parts).tolist():
+        some, steps = parts == part, count // part
+        ways = np.linalg.norm(place[some, steps:] - place[some, :-steps], axis=2).min(axis=1)
+        out[some] = ways * part / span[some]
+    return out
 
 
 def _marks(pose: FloatArray) -> FloatArray:

@@ -56,6 +56,8 @@ BEGINS: Final = {PASSED: "passed first", WAY: "way first"}
 """The same to where a goal begins, at which an arm stands but for what it is off."""
 BLOCK, WORLD = "block", "wobj0"
 """What the frames of work are called here: that in which the block stands, and the world."""
+WAY_LABEL: Final = "main"
+"""Segment of what is no work."""
 _NO_LIMIT: Final = Speed(math.inf, math.inf, math.inf, math.inf)
 _STOP: Final = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _PASSES: Final = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -89,6 +91,8 @@ class _Runner:
         self.out: dict[str, list[Step]] = {arm: [] for arm in self.arms}
         self.tools: dict[str, tuple[str, Tool]] = {}
         self.operation: OperationRow | None = None
+        self.label = WAY_LABEL
+        """Where in the work of its operation an arm stands."""
         self.frames: dict[tuple[int, int], WorkObject] = {}
         self.here: tuple[float, ...] | None = None
         self.goals = self.ids = 0
@@ -112,7 +116,7 @@ class _Runner:
         where, lead = self._where(row), self.out[self.arms[0]]
         match row:
             case OperationRow():
-                self.operation = row
+                self.operation, self.label = row, WAY_LABEL
             case CarryRow(arm=arm, mass=mass, centre=centre, axes=axes, inertia=inertia):
                 turn = to_quaternion(exp_rotation(np.array(axes)))
                 load = Load(mass, np.array(centre), turn, np.array(inertia))
@@ -169,14 +173,15 @@ class _Runner:
         if not works and len(points) != 1:
             what = "a way has two points, the one where it begins and its end, straight from rest to rest; "
             self._fail(row, f"{what}this has {len(row.points)}")
-        before = 0.0
+        before, label = 0.0, self.label if works else WAY_LABEL
+        self.label = row.points[-1].segment or WAY_LABEL
         for point in row.points:
             self.ids += 1
             for arm in row.arms:
                 kind = PASSED if works else WAY
                 kind = BEGINS[kind] if point is begun else kind
                 self.out[arm].append(
-                    self._step(point.segment or "main", kind, point, arm, point.t - before, together)
+                    self._step(point.segment or label, kind, point, arm, point.t - before, together)
                 )
             before = point.t
         self._meet(row, "SyncMoveOff" if together else "WaitSyncTask", f"goal_{self.goals}_end")
