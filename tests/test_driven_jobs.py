@@ -180,6 +180,11 @@ def test_arms_that_bend_are_commanded_where_they_then_stand(tmp_path):
     assert rule.worst > 0.1
 
 
+def test_a_wire_keeps_its_feed_round_the_corners_of_a_hole(tmp_path):
+    made = pipeline.plan(of_planner_job(tmp_path, "plate"))
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+
+
 def test_a_torch_is_refused(tmp_path):
     (issue,) = refused(of_planner_job(tmp_path, "trim"))
     assert issue.code == "post.controller" and "torch" in issue.message and "mill" in issue.hint

@@ -45,6 +45,8 @@ LEAST_FEED_USED: Final = 1.04
 """So many times as long as its least feed allows a way may take, as a whole,"""
 LONG_TIME: Final = 0.004
 """and in each such time [s],"""
+MOST_LONGER: Final = 1.15
+"""and so many times as long as it is planned: slots are wider where a wire is slower."""
 CREEPING: Final = 0.12
 """and at no place of it the joints are slower than this share of the mean speed there."""
 MARK: Final = 0.3
@@ -352,6 +354,9 @@ def _keeps_up(arms: Sequence[Driven], points: _Points, v: FloatArray, wanted: Wa
     slow = np.flatnonzero(asked & (took > most))
     if len(slow):
         raise NotKeptError(int(slow[0]), "joints would fall below the least feed")
+    slow = np.flatnonzero(asked & (took > MOST_LONGER * wanted.duration))
+    if len(slow):
+        raise NotKeptError(int(slow[0]), "it would take much longer than its slot is planned for")
     row, way = points.end[1:], _at(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
     bound = asked & (wanted.duration * wanted.least <= LEAST_FEED_USED)
     bound[[0, -1]] = False
