@@ -16,12 +16,12 @@ from planner.geometry.arrays import inverse, log_rotation
 from planner.issues import TandemError
 from planner.loading import proven
 from planner.post import write
-from planner.post.trajectories import curves, program
+from planner.post.trajectories import curves, straight_ways
 from planner.reading.urdf import read_chain
 from planner.report import setup_sheet
 from tests import test_seven_axes_jobs as seven
 from tests import test_ur_jobs
-from tests.verify import driven_job, small_job, straight_job
+from tests.verify import driven_job, planner_jobs, small_job, straight_job
 
 PROBLEMS = data_dir("problems")
 TIP = ("base_link", "tool0")
@@ -163,16 +163,31 @@ def test_joints_that_rows_cannot_name_are_refused_before_anything_is_planned(tmp
     assert issue.code == "post.name" and "'1st joint'" in issue.message
 
 
-def test_a_held_block_and_a_torch_are_refused(tmp_path):
-    path = PROBLEMS / "shell_piece_held" / "problem.yaml"
+def of_planner_job(tmp_path, name):
+    """A job of the proof's tests whose arms trajectories drive."""
+    path = planner_jobs.JOBS[name](tmp_path)
     source = yaml.safe_load(path.read_text("utf-8"))
-    source["cell"] = yaml.safe_load((path.parent / source["cell"]).read_text("utf-8"))
-    arms = [arm["name"] for arm in source["cell"]["arms"]]
-    source = driven(source, joint_prefix={name: f"{name}_" for name in arms})
-    issues = refused(loaded(tmp_path, source))
-    assert [issue.code for issue in issues] == ["post.load"]
-    assert "holds the block" in issues[0].message
-    assert "torch" in program.no_torch("left").message
+    names = [arm["name"] for arm in source["cell"]["arms"]]
+    source["cell"]["controller"] = {"language": "ros", "joint_prefix": {name: f"{name}_" for name in names}}
+    path.write_text(yaml.safe_dump(source), "utf-8")
+    return pipeline.load(path)
+
+
+def test_arms_that_bend_are_commanded_where_they_then_stand(tmp_path):
+    made = pipeline.plan(of_planner_job(tmp_path, "posed_sag"))
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+    (rule,) = (rule for rule in made.proof.rules if rule.code == "verify.sag")
+    assert rule.worst > 0.1
+
+
+def test_a_wire_keeps_its_feed_round_the_corners_of_a_hole(tmp_path):
+    made = pipeline.plan(of_planner_job(tmp_path, "plate"))
+    assert made.proof.ok, [str(issue) for issue in made.proof.issues]
+
+
+def test_a_torch_is_refused(tmp_path):
+    (issue,) = refused(of_planner_job(tmp_path, "trim"))
+    assert issue.code == "post.controller" and "torch" in issue.message and "mill" in issue.hint
 
 
 @pytest.mark.parametrize(
@@ -189,25 +204,30 @@ def test_what_does_not_fit_in_a_cell_is_told(tmp_path, change, words):
         loaded(tmp_path, facing(**change))
 
 
-def test_tracks_and_sag_are_refused(tmp_path):
-    for field, value in (("compensate_sag", {}), ("track", {"axis": [1, 0, 0], "range_mm": [0, 1000]})):
-        source = facing()
-        source["cell"]["arms"][0][field] = value
-        with pytest.raises(TandemError, match=field):
-            loaded(tmp_path, source)
+def test_tracks_are_refused(tmp_path):
+    source = facing()
+    source["cell"]["arms"][0]["track"] = {"axis": [1, 0, 0], "range_mm": [0, 1000]}
+    with pytest.raises(TandemError, match="track"):
+        loaded(tmp_path, source)
 
 
 def test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps(monkeypatch):
     arm = driven_job.bow_problem().cell.arms[0]
-    one = curves.Driven(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
+    one = straight_ways.Driven(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
     q = straight_job.plan(12).operations[0].q["left"][:3].copy()
     q[2] = q[0] + 1e-3  # back again
-    took = np.array([0.3, 0.3])
+    none = np.zeros(2, dtype=bool)
+    feeds = np.full((1, 2), np.inf), np.zeros((1, 2))
+    wanted = curves.Wanted(np.array([0.3, 0.3]), 0.25, *feeds, np.zeros(2), none, none)
     with monkeypatch.context() as patched:
         patched.setattr(curves, "_ROUNDS", 2)
-        with pytest.raises(curves.NotKeptError, match="points do not keep the way"):
-            curves.curve([one], q, took, np.array([False, True]), 0.25)
-        made = curves.curve([one], q, took, np.array([True, True]), 0.25)
+        with pytest.raises(straight_ways.NotKeptError, match="points do not keep the way"):
+            curves.curve([one], q, np.array([False, True]), wanted)
+        made = curves.curve([one], q, np.array([True, True]), wanted)
+    assert np.count_nonzero(~made.v.any(axis=1)) == 3
+    with monkeypatch.context() as patched:  # by itself, where it may
+        patched.setattr(curves, "_ROUNDS", 2)
+        made = curves.curve([one], q, np.array([False, True]), dataclasses.replace(wanted, may_stop=~none))
     assert np.count_nonzero(~made.v.any(axis=1)) == 3
     with monkeypatch.context() as patched:
         patched.setattr(curves, "KEPT", 1e-12)

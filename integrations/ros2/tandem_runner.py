@@ -26,7 +26,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-VERSION = 1
+VERSION = 2
 """The form of the file that is run."""
 FRESH_S = 0.5
 """Joints that were heard of longer ago count for nothing."""
@@ -199,11 +199,25 @@ def _step(row: Row, points: Sequence[Row], joints: Sequence[str], cell: Cell, on
     elif key == "move":
         cell.follow(joints, row, points)
     elif key == "operation":
-        cell.tell(f"Operation {row['operation']}, setup {row['setup']}.")
+        held = f", the block is held by arm {row['held_by']}" if row["held_by"] else ""
+        cell.tell(f"Operation {row['operation']}, setup {row['setup']}{held}.")
+    elif key == "carry":
+        cell.ask(_load(row))
     elif key == "tool":
         cell.tell(f"Arm {row['arm']} has {row['tool']}, {row['mass']:g} kg.")
     elif key != "arm":
         raise StoppedError(f"a row {key!r} is not known here")
+
+
+def _load(row: Row) -> str:
+    """What is asked where an arm takes the block, or lets it go."""
+    if not row["mass"]:
+        return f"Arm {row['carry']} holds no block any more: does its controller count with none?"
+    centre = ", ".join(f"{1000.0 * value:.1f}" for value in row["centre"])
+    return (
+        f"Arm {row['carry']} holds a block of {row['mass']:g} kg, its centre at {centre} mm in the frame of "
+        "the TCP: does its controller know?"
+    )
 
 
 def _look(row: Row, joints: Sequence[str], cell: Cell) -> None:

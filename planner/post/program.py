@@ -149,7 +149,8 @@ Step = Joints | AxesLook | Meet | SyncOn | SyncOff | Do | Carry | Run
 
 @dataclasses.dataclass(frozen=True)
 class OperationProgram:
-    """One operation of one task; ``ids``, ``stop``: (M,) of the moves. An arm that waits has no ``track``.
+    """One operation of one task; ``ids``, ``stop``: (M,) of the moves, ``targets`` (M,) of the plan that they
+    go to. An arm that waits has no ``track``.
 
     ``meets`` (M,): the number of the handshake behind each move, counted with the :class:`Meet` of the job; 0
     for none. ``setup`` counts from 1; ``arm`` is the arm with the tool that it carries then; ``station``:
@@ -164,6 +165,7 @@ class OperationProgram:
     stop: BoolArray
     meets: IntArray
     segments: tuple[Segment, ...]
+    targets: IntArray
     steps: tuple[Step, ...]
     station: Outer | None = None
 

@@ -273,6 +273,7 @@ class _Builder:
                 stop,
                 meets,
                 segments,
+                keep,
                 tuple(self.steps[arm]),
                 stands[arm],
             )

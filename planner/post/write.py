@@ -152,8 +152,8 @@ def speaks_trajectories(arm: Arm) -> bool:
 
 
 def _trajectory_refusals(problem: Problem, arms: Sequence[Arm]) -> list[Issue]:
-    """Why arms that trajectories drive cannot do a job: names of joints that two arms share, a block that is
-    held, torches, tracks and what turns the block."""
+    """Why arms that trajectories drive cannot do a job: names of joints that two arms share, torches, tracks
+    and what turns the block."""
     issues = []
     seen: dict[str, str] = {}
     for arm in arms:
@@ -174,8 +174,6 @@ def _trajectory_refusals(problem: Problem, arms: Sequence[Arm]) -> list[Issue]:
                 hint = "rename it in the URDF, or set a letter before it (controller: joint_prefix), and the "
                 hint += "same at the controller"
                 issues.append(Issue("post.name", got, arm=arm.name, hint=hint))
-    holders = [name for name in dict.fromkeys(setup.stock.held_by for setup in problem.setups) if name]
-    issues += [trajectories.no_load(name) for name in holders]
     lit = [operation for operation in problem.operations if lights_torch(operation)]
     issues += [trajectories.no_torch(lit[0].arms[0])] if lit else []
     return issues

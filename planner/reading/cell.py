@@ -458,11 +458,11 @@ def build(spec: CellFile, folder: Path) -> Cell:
 
 def _driven(data: RobotData, arm: ArmFile, number: int) -> RobotData:
     """The robot of an arm that joint trajectories drive. Raises :class:`TandemError` (``problem.field``) for
-    an arm that rides on a track or whose sag is made up for, which trajectories are not written for."""
-    for field, stated in (("track", arm.track), ("axes", arm.axes), ("compensate_sag", arm.compensate_sag)):
+    an arm that rides on a track or a gantry, which trajectories are not written for."""
+    for field, stated in (("track", arm.track), ("axes", arm.axes)):
         if stated is not None:
             what = f"{field} of arm {arm.name}: trajectories (controller: {{language: ros}}) are written for "
-            what += "arms that stand still and do not bend; leave it out, or take the arm's own language"
+            what += "arms that stand still; leave it out, or take the arm's own language"
             raise TandemError(Issue("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name))
     return dataclasses.replace(data, family="ROS")
 

@@ -475,7 +475,9 @@ def _trajectory_tasks(
         if row.arm in arms:
             text = TrajectoryText(program, trajectory_flow.pose(row.base))
             way, none = steps.get(row.arm, ()), frozenset[tuple[str, str]]()
-            tasks.append(TaskText(row.arm, "", arms[row.arm], (), way, {}, {}, none, files, trajectory=text))
+            tasks.append(
+                TaskText(row.arm, row.arm, arms[row.arm], (), way, {}, {}, none, files, trajectory=text)
+            )
     return tasks, faults, lost
 
 

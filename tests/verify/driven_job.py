@@ -1,5 +1,6 @@
-"""The jobs of ``straight_job`` and ``small_job`` by joint trajectories: one arm with a bow over two setups,
-and two arms with a bent wire, all of whose joints one controller of ROS 2 moves."""
+"""The jobs of ``straight_job``, ``small_job`` and ``held_job`` by joint trajectories: one arm with a bow over
+two setups, two arms with a bent wire, and one that holds what the other one cuts; one controller of ROS 2
+moves all joints."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import hashlib
 import json
 
 from planner.post import write
-from tests.verify import small_job, straight_job
+from tests.verify import held_job, small_job, straight_job
 
 BOW, BENT = "straight.trajectory.jsonl", "small.trajectory.jsonl"
 COUNT = 12
@@ -43,6 +44,15 @@ def bow_programs():
 @functools.cache
 def bent_programs():
     return write.programs(small_job.plan(), bent_problem())
+
+
+def held_problem():
+    return driven(held_job.problem())
+
+
+@functools.cache
+def held_programs():
+    return write.programs(held_job.plan(), held_problem())
 
 
 def rows_of(programs):

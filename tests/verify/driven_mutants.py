@@ -3,6 +3,13 @@ anew, as somebody would who means it."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward
+from planner.geometry.arrays import inverse
+from planner.post.trajectories.straight_ways import Driven, solved
+from tests.verify import held_job
 from tests.verify.driven_job import rows_of, sealed, written
 from tests.verify.registry import Table, into, pick
 
@@ -10,8 +17,11 @@ MUTATORS: Table = {}
 """Of either job."""
 BENT: Table = {}
 """Of two arms alone."""
+HELD: Table = {}
+"""Of an arm that holds the block."""
 mutator = into(MUTATORS)
 of_two = into(BENT)
+of_held = into(HELD)
 
 
 def where(rows, key, **values):
@@ -175,6 +185,38 @@ def a_start_that_is_not_home(rng, programs):
     return changed(programs, i, at=at)
 
 
+@mutator("verify.start_posture")
+def a_first_point_that_comes_at_once(rng, programs):
+    """A controller that begins where the arm is would have to jump."""
+    rows = rows_of(programs)
+    i = pick(rng, where(rows, "move")) + 1
+    return changed(programs, i, t=float(rng.uniform(0.02, 0.7)) * rows[i]["t"])
+
+
+@mutator("verify.start_posture")
+def a_first_point_elsewhere(rng, programs):
+    rows = rows_of(programs)
+    i = pick(rng, where(rows, "move", move=rows[where(rows, "segment")[0] - 2]["move"])) + 1
+    q = list(rows[i]["q"])
+    q[0] += 1e-6
+    return changed(programs, i, q=q)
+
+
+@mutator("verify.syntax")
+def no_first_point(rng, programs):
+    rows = rows_of(programs)
+    del rows[pick(rng, where(rows, "move")) + 1]
+    return sealed(programs, rows)
+
+
+@mutator("verify.between_points")
+def a_swing_between_two_points(rng, programs):
+    """One point of a cut is passed faster; nothing tells but the cubics on both sides."""
+    rows = rows_of(programs)
+    i = pick(rng, cuts(rows)[2:-2])
+    return changed(programs, i, v=[1.9 * value for value in rows[i]["v"]])
+
+
 @mutator("verify.goal_tolerances")
 def no_path_tolerance(rng, programs):
     rows = rows_of(programs)
@@ -253,11 +295,12 @@ def a_short_swing_between_samples(rng, programs):
 @mutator("verify.joint_acceleration")
 def twenty_times_as_fast(rng, programs):
     rows = rows_of(programs)
-    first = pick(rng, [i for i in where(rows, "segment") if "move" in rows[i - 1]])
+    first = pick(rng, [i for i in where(rows, "segment") if "move" in rows[i - 2]])
     last = next(i for i in range(first, len(rows)) if not {"t", "segment"} & rows[i].keys())
+    begun = rows[first - 1]["t"]
     for row in rows[first:last]:
         if "t" in row:
-            row["t"] = max(round(row["t"] / 20.0, 6), 1e-6)
+            row["t"] = begun + max(round((row["t"] - begun) / 20.0, 6), 1e-6)
             row["v"] = [20.0 * value for value in row["v"]]
     return sealed(programs, rows)
 
@@ -453,6 +496,83 @@ def one_end_of_the_wire_moves_alone(rng, programs):
     way = [here[0] + 0.01, *here[1:]]
     move = {**rows[i], "move": ["left"]}
     still = [0.0] * len(here)
-    there = [rows[i - 1], move, {"t": 1.0, "q": way, "v": still}]
-    back = [{**rows[i - 1], "at": way}, move, {"t": 1.0, "q": here, "v": still}]
+    there = [rows[i - 1], move, {"t": 1.0, "q": here, "v": still}, {"t": 2.0, "q": way, "v": still}]
+    back = [{**rows[i - 1], "at": way}, move, {"t": 1.0, "q": way, "v": still}]
+    back += [{"t": 2.0, "q": here, "v": still}]
     return sealed(programs, [*rows[: i - 1], *there, *back, *rows[i - 1 :]])
+
+
+def carried(rows):
+    """The row in which the holder takes the block."""
+    return next(i for i in where(rows, "carry") if rows[i]["mass"] > 0.0)
+
+
+@of_held("verify.load")
+def nobody_is_asked_about_the_load(rng, programs):
+    rows = rows_of(programs)
+    del rows[carried(rows)]
+    return sealed(programs, rows)
+
+
+@of_held("verify.load")
+def another_load(rng, programs):
+    rows = rows_of(programs)
+    i = carried(rows)
+    key = pick(rng, ["mass", "centre", "inertia", "axes"])
+    factor = float(pick(rng, [0.5, 1.5]))
+    value = rows[i][key]
+    if key == "axes":
+        return changed(programs, i, axes=[0.0, 0.0, rows[i]["axes"][2] + 0.5])
+    return changed(programs, i, **{key: [factor * v for v in value] if key != "mass" else factor * value})
+
+
+@of_held("verify.load")
+def a_load_that_is_never_let_go(rng, programs):
+    rows = rows_of(programs)
+    i = where(rows, "carry")[-1]
+    later = {**rows[carried(rows)], "carry": "left"}
+    return sealed(programs, [*rows[:i], later, *rows[i:]])
+
+
+@of_held("verify.held_frame")
+def the_other_arm_holds_the_block(rng, programs):
+    rows = rows_of(programs)
+    i = where(rows, "operation")[0]
+    return changed(programs, i, held_by=pick(rng, ["left", ""]))
+
+
+@of_held("verify.dialogue")
+def a_block_that_is_held_elsewhere(rng, programs):
+    rows = rows_of(programs)
+    i = where(rows, "operation")[0]
+    block = list(rows[i]["block"])
+    block[int(rng.integers(6))] += 1e-4
+    return changed(programs, i, block=block)
+
+
+@of_held("verify.stop_in_foam")
+def the_wire_stands_still_in_a_block_that_moves(rng, programs):
+    """At one point of the cut the holder goes as before and the bow with it, at rest as seen from the block:
+    no joint rests."""
+    rows = rows_of(programs)
+    i = pick(rng, [i for i in cuts(rows)[4:-4] if rows[i]["v"][0] != 0.0])
+    v = list(rows[i]["v"])
+    q = np.array(rows[i]["q"])
+    data = robot("irb140")
+    base, tool = (held_job.BASES[arm] for arm in ("left", "right")), held_job.cell()
+    left, right = base
+    tcp = {arm: tool.arm(arm).tool.tcp for arm in ("left", "right")}
+    soon = 1e-6
+    held = [right @ forward(data, q[6:] + k * soon * np.array(v[6:])) @ tcp["right"] for k in (0.0, 1.0)]
+    wanted = held[1] @ inverse(held[0]) @ left @ forward(data, q[:6]) @ tcp["left"]
+    driven = Driven(data, left, tcp["left"], slice(0, 6))
+    rate = (solved(driven, wanted[None], q[None, :6], np.zeros(1, dtype=int))[0] - q[:6]) / soon
+    return changed(programs, i, v=[*rate.tolist(), *v[6:]])
+
+
+@of_held("verify.power_on_failure")
+def the_load_is_asked_about_with_the_wire_hot(rng, programs):
+    rows = rows_of(programs)
+    i = where(rows, "dwell")[0]
+    load = {**rows[carried(rows)], "on_failure": rows[i]["on_failure"]}
+    return sealed(programs, [*rows[:i], load, *rows[i:]])

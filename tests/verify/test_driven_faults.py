@@ -10,7 +10,7 @@ import pytest
 
 from planner.issues import TandemError
 from planner.post import write
-from planner.post.trajectories import curves, program, rows
+from planner.post.trajectories import curves, program, rows, straight_ways
 from planner.verify.prove import Prover
 from tests.verify import driven_job, small_job, straight_job
 
@@ -52,7 +52,7 @@ def exchanged(made):
 
 
 def later_labels(old):
-    return lambda self, made, arms, labels: old(self, made, arms, [labels[0], *labels[:-1]])
+    return lambda self, made, begun, arms, labels: old(self, made, begun, arms, [labels[0], *labels[:-1]])
 
 
 def only_the_first(old):
@@ -82,6 +82,7 @@ FAULTS = {
     "few_decimals": ("bow", rows, "number", lambda old: lambda value, decimals: old(value, min(decimals, 2))),
     "degrees": ("bow", program._Main, "_point", lambda old: lambda s, t, q, v: old(s, t, np.rad2deg(q), v)),
     "ways_too_fast": ("bow", program, "way_time", changed(lambda time: 0.2 * time)),
+    "begins_at_once": ("bow", program, "settling_time", changed(lambda time: 0.3 * time)),
     "labels_late": ("bow", program._Main, "_points", later_labels),
     "nothing_looks": ("bow", program._Main, "_at", nothing),
     "nothing_falls": ("bow", program._Main, "_switch", never_on),
@@ -102,7 +103,7 @@ def test_no_fault_gets_a_file_proven(name, monkeypatch):
     monkeypatch.setattr(owner, what, fault(getattr(owner, what)))
     try:
         programs = write.programs(plan, problem)
-    except (TandemError, curves.NotKeptError):
+    except (TandemError, straight_ways.NotKeptError):
         return  # it is refused, which is no proof
     assert programs != clean
     assert not Prover(problem, claims).prove(programs, first_error=True).ok

@@ -15,13 +15,14 @@ from planner.verify import job
 from planner.verify.prove import Prover
 from planner.verify.replay import moves
 from planner.verify.trajectories import rows as rows_of_text
-from tests.verify import driven_job, provers, small_job, straight_job
-from tests.verify.driven_mutants import BENT, MUTATORS
+from tests.verify import driven_job, held_job, provers, small_job, straight_job
+from tests.verify.driven_mutants import BENT, HELD, MUTATORS
 
 FULL = 12
 JOBS = {
     "bow": (driven_job.bow_problem, straight_job.claims, driven_job.bow_programs, MUTATORS),
     "bent": (driven_job.bent_problem, small_job.claims, driven_job.bent_programs, {**MUTATORS, **BENT}),
+    "held": (driven_job.held_problem, held_job.claims, driven_job.held_programs, HELD),
 }
 
 
@@ -32,9 +33,11 @@ def prover(name):
 
 
 def named_faults():
-    """Each kind once, in turn of either job; those of two arms of theirs."""
+    """Each kind once, in turn of either job; those of two arms, and of a block that is held, of theirs."""
     for count, kind in enumerate({**MUTATORS, **BENT}):
         yield "bent" if kind in BENT or count % 2 else "bow", kind
+    for kind in HELD:
+        yield "held", kind
 
 
 @pytest.mark.parametrize("name", JOBS)

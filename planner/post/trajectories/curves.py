@@ -9,34 +9,62 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from planner.catalogue.robots import RobotData
-from planner.cell.kinematics import forward, jacobian
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, exp_rotation, inverse, log_rotation
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, log_rotation
+from planner.post.trajectories.straight_ways import (
+    Driven,
+    NotKeptError,
+    carriers_first,
+    share_gone,
+    spread,
+    straight,
+)
 
 KEPT: Final = 0.05e-3
-"""How far [m] a tool may leave the straight way between two points,"""
+"""How far [m] a tool may leave the straight way between two points at most,"""
 KEPT_TURN: Final = float(np.deg2rad(0.05))
 """and how far [rad] it may be turned off it."""
-UNEVEN: Final = 2.4
-"""How many times as fast as in the mean it may go between them."""
+GOES: Final = 0.09e-3
+"""A tool that goes farther than this [m] between them"""
+UNEVEN: Final = 1.53
+"""is nowhere faster than so many times its fastest mean there and beside."""
 LEAST_TIME: Final = 0.006
 """Least time [s] between two points: most controllers of this kind run at 100 to 1000 Hz."""
 SPEED_USED: Final = 0.97
 """Share of the joints' speeds that may be used,"""
 ACCELERATION_USED: Final = 0.93
 """and of their accelerations."""
+TOOL_SPEED_USED: Final = 0.99
+"""Share of the tools' speeds that may be used."""
+LEAST_FEED_USED: Final = 1.04
+"""So many times as long as its least feed allows a way may take, as a whole,"""
+LONG_TIME: Final = 0.004
+"""and in each such time [s],"""
+MOST_LONGER: Final = 1.15
+"""and so many times as long as it is planned: slots are wider where a wire is slower."""
+CREEPING: Final = 0.12
+"""and at no place of it the joints are slower than this share of the mean speed there."""
+MARK: Final = 0.3
+"""How far [m] from the TCP points are that tell how a tool stands."""
+SOON: Final = 1e-6
+"""Time [s] over which the speed of such points is taken."""
 CORNER_COSINE: Final = float(np.cos(np.deg2rad(15.0)))
 """Joints whose speeds turn by more than this behind a target have a corner there,"""
+AT_CORNERS: Final = 0.9
+"""Share of the speed beside it that work with a least feed keeps at a corner,"""
+MOST_AT_CORNERS: Final = 1.5
+"""but no more than so many times the mean of both velocities there."""
 CORNER_SHARE: Final = 0.25
 """which takes at most so much of the moves beside it."""
 _SHARES: Final = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
 """Where between two points the way is looked at."""
+_PIECES: Final = 16
+"""Pieces between two points in which the speed of a tool is looked at."""
 _ROUNDS: Final = 16
 """Times points are set between,"""
 _ALONE: Final = 2
@@ -45,24 +73,6 @@ _BESIDE: Final = 3
 """then in so many ways on either side, too."""
 _STRETCHES: Final = 60
 """Times points are moved to later."""
-_STEPS: Final = 12
-"""Steps of Newton's method."""
-_EXACT: Final = 1e-9
-"""How near [m, rad] it comes."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Driven:
-    """An arm with what it carries: ``base`` and ``tcp`` (4, 4), and where its joints stand among all."""
-
-    robot: RobotData
-    base: FloatArray
-    tcp: FloatArray
-    columns: slice
-
-    def tool(self, q: FloatArray) -> FloatArray:
-        """TCP poses (..., 4, 4) of joints (..., D) of all arms."""
-        return np.asarray(self.base @ forward(self.robot, q[..., self.columns]) @ self.tcp)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,35 +86,49 @@ class Curve:
     end: IntArray
 
 
-class NotKeptError(Exception):
-    """No points keep the way: ``row`` of the given ways, and why."""
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """What is wanted of N straight ways: ``duration`` (N,) [s] as planned; ``tcp_speed`` [m/s] of any tool in
+    the world, ``fastest`` and ``slowest`` (A, N) [m/s] of those of A arms anywhere on a way, in their frames,
+    the latter 0 where nothing is asked, and not beside a rest or where it is planned slower; ``least`` (N,)
+    [1/s] share of it that is gone in a second at least, 0 where nothing is asked; whether the motion
+    ``may_stop`` (N,) behind it where no points keep the way else, and whether something ``melts`` (N,) where
+    it comes near to a standstill on it. No tool leaves a way by more than ``kept`` [m] and ``kept_turn``
+    (A,) [rad]."""
 
-    def __init__(self, row: int, why: str) -> None:
-        super().__init__(why)
-        self.row, self.why = row, why
+    duration: FloatArray
+    tcp_speed: float
+    fastest: FloatArray
+    slowest: FloatArray
+    least: FloatArray
+    may_stop: BoolArray
+    melts: BoolArray
+    kept: float = KEPT
+    kept_turn: tuple[float, ...] = (KEPT_TURN, KEPT_TURN)
+
+    def some(self, a: int, b: int) -> Wanted:
+        """Of the ways a to b - 1."""
+        own = slice(a, b)
+        return dataclasses.replace(
+            self,
+            duration=self.duration[own],
+            fastest=self.fastest[:, own],
+            slowest=self.slowest[:, own],
+            least=self.least[own],
+            may_stop=self.may_stop[own],
+            melts=self.melts[own],
+        )
+
+    @property
+    def even(self) -> bool:
+        """Whether some of them have a least feed: then no corner takes longer."""
+        return bool((self.least > 0.0).any())
 
 
-def curve(
-    arms: Sequence[Driven],
-    q: FloatArray,
-    duration: FloatArray,
-    stop: BoolArray,
-    tcp_speed: float,
-    even: bool = False,
-) -> Curve:
-    """Points through the joints ``q`` (N + 1, D) of N straight ways, which take ``duration`` (N,) [s] each
-    and end at rest where ``stop`` (N,) says so, as the last one does. ``even``: no corner takes longer, for
-    work that has a least feed. Raises :class:`NotKeptError`."""
-    edges = [0, *(np.flatnonzero(stop) + 1).tolist()]
-    if edges[-1] != len(duration):
-        edges.append(len(duration))
-    parts = []
-    for a, b in itertools.pairwise(edges):
-        try:
-            parts.append(_from_rest(arms, q[a : b + 1], duration[a:b], tcp_speed, even))
-        except NotKeptError as lost:
-            raise NotKeptError(a + lost.row, lost.why) from None
-        parts[-1] = dataclasses.replace(parts[-1], end=parts[-1].end + a)
+def curve(arms: Sequence[Driven], q: FloatArray, stop: BoolArray, wanted: Wanted) -> Curve:
+    """Points through the joints ``q`` (N + 1, D) of N straight ways, which end at rest where ``stop`` (N,)
+    says so, as the last one does. Raises :class:`NotKeptError`."""
+    parts = _parts(arms, q, wanted, np.flatnonzero(stop) + 1)
     whole, late = [parts[0]], parts[0].t[-1]
     for part in parts[1:]:
         whole.append(Curve(part.t[1:] + late, part.q[1:], part.v[1:], part.end[1:]))
@@ -126,17 +150,36 @@ class _Points:
     corner: BoolArray
 
 
-def _from_rest(
-    arms: Sequence[Driven], q: FloatArray, duration: FloatArray, tcp_speed: float, even: bool
-) -> Curve:
-    count = len(duration)
-    span = np.maximum(duration, LEAST_TIME)
+def _parts(arms: Sequence[Driven], q: FloatArray, wanted: Wanted, stops: IntArray) -> list[Curve]:
+    """Curves from rest to rest behind one another, which stop at the rows ``stops`` of ``q`` (N + 1, D) and
+    where nothing else keeps the way."""
+    out, edges = list[Curve](), sorted({0, *stops.tolist(), len(wanted.duration)})
+    for a, b in itertools.pairwise(edges):
+        rows, own = q[a : b + 1], wanted.some(a, b)
+        try:
+            parts = [_from_rest(arms, rows, own)]
+        except NotKeptError as lost:
+            cuts = [k for k in (lost.row, lost.row + 1) if 0 < k < b - a and own.may_stop[k - 1]]
+            if not cuts:
+                raise NotKeptError(a + lost.row, lost.why) from None
+            try:
+                parts = _parts(arms, rows, own, np.array(cuts))
+            except NotKeptError as still:
+                raise NotKeptError(a + still.row, still.why) from None
+        out += [dataclasses.replace(part, end=part.end + a) for part in parts]
+    return out
+
+
+def _from_rest(arms: Sequence[Driven], q: FloatArray, wanted: Wanted) -> Curve:
+    count = len(wanted.duration)
+    span = np.maximum(wanted.duration, LEAST_TIME)
     points = _Points(q, span, np.arange(-1, count), np.zeros(count + 1, dtype=np.bool_))
-    points = _with_corners(arms, points, even)
+    points = _with_corners(arms, points, wanted.even)
     for number in range(_ROUNDS):
-        points, v = _timed(arms, points, tcp_speed)
-        far = _far(arms, points.q, points.span, v)
+        points, v = _timed(arms, points, wanted)
+        far = _far(arms, points, v, wanted)
         if not far.any():
+            _keeps_up(arms, points, v, wanted)
             uneven = np.flatnonzero(_uneven(arms, points, v))
             if len(uneven):
                 row = int(points.end[uneven[0] + 1])
@@ -183,17 +226,14 @@ def _with_corners(arms: Sequence[Driven], points: _Points, even: bool) -> _Point
     found = np.flatnonzero((cosine < CORNER_COSINE) & (needed <= room)) + 1
     if not len(found):
         return points
-    ends = [arm.tool(q) for arm in arms]
-    before, behind = np.full((len(found), q.shape[1]), np.nan), np.full((len(found), q.shape[1]), np.nan)
-    took = needed[found - 1]
-    for out, way, share in (
-        (before, found - 1, 1.0 - took / span[found - 1]),
-        (behind, found, took / span[found]),
-    ):
+    took, beside = needed[found - 1], list[FloatArray]()
+    for way, share in ((found - 1, 1.0 - took / span[found - 1]), (found, took / span[found])):
         near = q[way] + share[:, None] * (q[way + 1] - q[way])
-        for arm, poses in zip(arms, ends, strict=True):
-            wanted = _straight(poses, _spread(share, way, len(span)))[way, 0]
-            out[:, arm.columns] = _solved(arm, wanted, near[:, arm.columns])
+        for arm in carriers_first(arms):
+            wanted = straight(arm.tool(q), spread(share, way, len(span)))[way, 0]
+            near[:, arm.columns] = arm.solved(wanted, near, way)
+        beside.append(near)
+    before, behind = beside
     weight = 1.0 / fastest**2
     slow_in, slow_out = (
         2.0 * took / (1.0 + np.clip(_along(middle[found - 1], rate[way], weight), -0.5, 1.0))
@@ -226,9 +266,10 @@ def _along(some: FloatArray, other: FloatArray, weight: FloatArray) -> FloatArra
     )
 
 
-def _velocities(points: _Points) -> FloatArray:
+def _velocities(points: _Points, even: bool) -> FloatArray:
     """Velocities (P, D): of splines with continuous accelerations, from rest to rest, and from corner to
-    corner, at which speeds are the mean of those before and behind."""
+    corner, at which speeds are the mean of those before and behind; for an ``even`` feed in direction alone,
+    as far as :data:`AT_CORNERS` goes."""
     q, span = points.q, points.span
     t = np.append(0.0, np.cumsum(span))
     v = np.zeros_like(q)
@@ -241,16 +282,21 @@ def _velocities(points: _Points) -> FloatArray:
         v[some] = CubicSpline(t[some], q[some], axis=0, bc_type=((1, low), (1, high)))(t[some], 1)
         v[a], v[b] = low, high
     v[corners] = 0.5 * (v[corners - 1] + v[corners + 1])
+    if even and len(corners):
+        size = np.linalg.norm(v, axis=1)
+        due = AT_CORNERS * np.minimum(size[corners - 1], size[corners + 1])
+        factor = np.clip(due / np.maximum(size[corners], 1e-12), 1.0, MOST_AT_CORNERS)
+        v[corners] *= factor[:, None]
     return v
 
 
-def _timed(arms: Sequence[Driven], points: _Points, tcp_speed: float) -> tuple[_Points, FloatArray]:
-    """The points with times at which joints and tools keep their limits, and the velocities."""
+def _timed(arms: Sequence[Driven], points: _Points, wanted: Wanted) -> tuple[_Points, FloatArray]:
+    """The points with times at which joints keep their limits and tools their speeds, and the velocities."""
     fastest = np.concatenate([arm.robot.velocity for arm in arms]) * SPEED_USED
     quickest = np.concatenate([arm.robot.acceleration for arm in arms]) * ACCELERATION_USED
     for _ in range(_STRETCHES):
-        v = _velocities(points)
-        over = _over(arms, points.q, points.span, v, fastest, quickest, tcp_speed)
+        v = _velocities(points, wanted.even)
+        over = _over(arms, points, v, fastest, quickest, wanted)
         if over.max() <= 1.0:
             return points, v
         wide = np.maximum(over, 1.0)
@@ -266,14 +312,14 @@ def _timed(arms: Sequence[Driven], points: _Points, tcp_speed: float) -> tuple[_
 
 def _over(
     arms: Sequence[Driven],
-    q: FloatArray,
-    span: FloatArray,
+    points: _Points,
     v: FloatArray,
     fastest: FloatArray,
     quickest: FloatArray,
-    tcp_speed: float,
+    wanted: Wanted,
 ) -> FloatArray:
     """By what factor (P - 1,) the times between points are too short."""
+    q, span = points.q, points.span
     T = span[:, None]
     change = np.diff(q, axis=0) / T
     first = (6.0 * change - 4.0 * v[:-1] - 2.0 * v[1:]) / T
@@ -284,13 +330,80 @@ def _over(
     speed = np.abs(np.stack([v[:-1], v[1:], middle])).max(axis=0) / fastest
     rise = np.sqrt(np.maximum(np.abs(first), np.abs(last)) / quickest)
     out = np.maximum(speed.max(axis=1), rise.max(axis=1))
-    shares = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
-    way = _at(q, span, v, shares)
-    for arm in arms:
-        place = arm.tool(way)[..., :3, 3]
-        steps = np.linalg.norm(np.diff(place, axis=1), axis=2).max(axis=1) / (0.25 * span)
-        out = np.maximum(out, steps / (0.99 * tcp_speed))
+    way = _at(q, span, v, np.linspace(0.0, 1.0, _PIECES + 1))
+    for arm, most in zip(arms, wanted.fastest, strict=True):
+        most = np.minimum(most[points.end[1:]], np.inf if arm.carrier else wanted.tcp_speed)
+        out = np.maximum(out, _fastest(arm.tool(way), span) / (TOOL_SPEED_USED * most))
+        if arm.carrier:
+            out = np.maximum(out, _fastest(arm.place(way), span) / (TOOL_SPEED_USED * wanted.tcp_speed))
     return np.asarray(out)
+
+
+def _fastest(way: FloatArray, span: FloatArray) -> FloatArray:
+    """The highest speeds (P - 1,) [m/s] of poses (P - 1, S, 4, 4), which are as far apart in time."""
+    steps = np.linalg.norm(np.diff(way[..., :3, 3], axis=1), axis=2)
+    return np.asarray(steps.max(axis=1) * steps.shape[1] / span)
+
+
+def _keeps_up(arms: Sequence[Driven], points: _Points, v: FloatArray, wanted: Wanted) -> None:
+    """Raise where ways that have a least feed take longer than it allows and than was planned, or what melts
+    comes near to a standstill."""
+    took = np.bincount(points.end[1:], points.span, len(wanted.duration))
+    asked = wanted.least > 0.0
+    most = np.maximum(wanted.duration, 1.0 / np.where(asked, wanted.least, np.inf)) * LEAST_FEED_USED
+    slow = np.flatnonzero(asked & (took > most))
+    if len(slow):
+        raise NotKeptError(int(slow[0]), "joints would fall below the least feed")
+    slow = np.flatnonzero(asked & (took > MOST_LONGER * wanted.duration))
+    if len(slow):
+        raise NotKeptError(int(slow[0]), "it would take much longer than its slot is planned for")
+    row, way = points.end[1:], _at(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
+    bound = asked & (wanted.duration * wanted.least <= LEAST_FEED_USED)
+    bound[[0, -1]] = False
+    for arm, floor in zip(arms, wanted.slowest, strict=True):
+        slowest = _slowest(arm.tool(way)[..., :3, 3], points.span)
+        late = np.flatnonzero(bound[row] & (slowest < floor[row] / LEAST_FEED_USED))
+        if len(late):
+            raise NotKeptError(int(row[late[0]]), "the tool would fall below its least feed")
+    scale = np.concatenate([arm.robot.velocity for arm in arms])
+    way = way[:, :: _PIECES // 8] / scale
+    stands = _creeps(way, v / scale, points.span)
+    for arm in arms:
+        if arm.carrier is not None:  # two arms may move, and one stand still as the other one sees it
+            seen, soon = (_marks(arm.tool(some)) for some in (points.q, points.q + SOON * v))
+            stands |= _creeps(_marks(arm.tool(way * scale)), (soon - seen) / SOON, points.span)
+    creeps = np.flatnonzero(stands & wanted.melts[row])
+    if len(creeps):
+        raise NotKeptError(int(points.end[creeps[0] + 1]), "joints would come near to a standstill")
+
+
+def _slowest(place: FloatArray, span: FloatArray) -> FloatArray:
+    """The least mean speeds (P - 1,) [m/s] of places (P - 1, S, 3), at even times, over :data:`LONG_TIME` at
+    least."""
+    count, out = place.shape[1] - 1, np.empty(len(span))
+    parts = 2 ** np.floor(np.log2(np.clip(span / LONG_TIME, 1.0, count))).astype(np.int64)
+    for part in np.unique(parts).tolist():
+        some, steps = parts == part, count // part
+        ways = np.linalg.norm(place[some, steps:] - place[some, :-steps], axis=2).min(axis=1)
+        out[some] = ways * part / span[some]
+    return out
+
+
+def _marks(pose: FloatArray) -> FloatArray:
+    """Places (..., 9) [m] of three points of poses (..., 4, 4), which tell how they stand."""
+    points = pose[..., :3, 3, None] + np.array([0.0, MARK, MARK]) * pose[..., :3, [2, 0, 1]]
+    return points.reshape(*pose.shape[:-2], 9)
+
+
+def _creeps(way: FloatArray, rate: FloatArray, span: FloatArray) -> BoolArray:
+    """Between which points (P - 1,), or at the ends of which, what is at ``way`` (P - 1, S, D), with
+    velocities ``rate`` (P, D) at the points, comes near to a standstill, but from rest and to it."""
+    mean = np.linalg.norm(way[:, -1] - way[:, 0], axis=1) / span
+    least = np.linalg.norm(np.diff(way, axis=1), axis=2).min(axis=1) * (way.shape[1] - 1) / span
+    out = np.asarray(least < CREEPING * mean)
+    out[:-1] |= np.linalg.norm(rate[1:-1], axis=1) < CREEPING * np.minimum(mean[:-1], mean[1:])
+    out[[0, -1]] = False
+    return out
 
 
 def _at(q: FloatArray, span: FloatArray, v: FloatArray, shares: FloatArray) -> FloatArray:
@@ -301,56 +414,35 @@ def _at(q: FloatArray, span: FloatArray, v: FloatArray, shares: FloatArray) -> F
     return np.asarray(CubicHermiteSpline(t, q, v, axis=0)(when))
 
 
-def _far(arms: Sequence[Driven], q: FloatArray, span: FloatArray, v: FloatArray) -> BoolArray:
+def _far(arms: Sequence[Driven], points: _Points, v: FloatArray, wanted: Wanted) -> BoolArray:
     """Between which points (P - 1,) a tool leaves the straight way."""
-    out = np.zeros(len(span), dtype=bool)
-    way = _at(q, span, v, _SHARES)
-    for arm in arms:
-        ends, here = arm.tool(q), arm.tool(way)
-        share, _, _ = _share(ends, here)
-        wanted = _straight(ends, share)
-        off = np.linalg.norm(here[..., :3, 3] - wanted[..., :3, 3], axis=2)
-        turned = log_rotation(np.swapaxes(wanted[..., :3, :3], -1, -2) @ here[..., :3, :3])
-        out |= (off > KEPT).any(axis=1) | (np.linalg.norm(turned, axis=2) > KEPT_TURN).any(axis=1)
+    out = np.zeros(len(points.span), dtype=bool)
+    way = _at(points.q, points.span, v, _SHARES)
+    for arm, most in zip(arms, wanted.kept_turn, strict=False):
+        ends, here = arm.tool(points.q), arm.tool(way)
+        share, _, _ = share_gone(ends, here)
+        due = straight(ends, share)
+        off = np.linalg.norm(here[..., :3, 3] - due[..., :3, 3], axis=2)
+        turned = log_rotation(np.swapaxes(due[..., :3, :3], -1, -2) @ here[..., :3, :3])
+        out |= (off > wanted.kept).any(axis=1) | (np.linalg.norm(turned, axis=2) > most).any(axis=1)
     return out
 
 
 def _uneven(arms: Sequence[Driven], points: _Points, v: FloatArray) -> BoolArray:
-    """Between which points (P - 1,) a tool goes back, or faster than :data:`UNEVEN` times as in the mean."""
+    """Between which points (P - 1,) a tool goes back, or faster than :data:`UNEVEN` times as in the mean
+    there and beside."""
     out = np.zeros(len(points.span), dtype=np.bool_)
-    way = _at(points.q, points.span, v, np.linspace(0.0, 1.0, 9))
+    way = _at(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
     for arm in arms:
         place = arm.tool(way)[..., :3, 3]
         whole = place[:, -1] - place[:, 0]
         length = np.linalg.norm(whole, axis=1)
+        mean = np.pad(length / points.span, 1)
         steps = np.diff(place, axis=1)
         along = (steps * whole[:, None]).sum(axis=2) / np.maximum(length, 1e-9)[:, None]
-        fast = 8.0 * np.linalg.norm(steps, axis=2).max(axis=1) > UNEVEN * length
-        out |= (length > 0.5 * KEPT) & (fast | (along.min(axis=1) < -0.2 * KEPT))
-    return out
-
-
-def _share(ends: FloatArray, here: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How far (P - 1, S) of the straight ways between ``ends`` (P, 4, 4) poses (P - 1, S, 4, 4) have gone,
-    and the ways' lengths and angles (P - 1,)."""
-    way = np.diff(ends[:, :3, 3], axis=0)[:, None]
-    turn = log_rotation(np.swapaxes(ends[:-1, :3, :3], -1, -2) @ ends[1:, :3, :3])[:, None]
-    length, angle = np.linalg.norm(way, axis=2), np.linalg.norm(turn, axis=2)
-    gone = here[..., :3, 3] - ends[:-1, None, :3, 3]
-    turned = log_rotation(np.swapaxes(ends[:-1, None, :3, :3], -1, -2) @ here[..., :3, :3])
-    by_way = (gone * way).sum(axis=2) / np.maximum(length, 1e-9) ** 2
-    by_turn = (turned * turn).sum(axis=2) / np.maximum(angle, 1e-9) ** 2
-    share = np.where(length > 1e-6, by_way, np.where(angle > 1e-6, by_turn, 0.5))
-    return np.clip(share, 0.0, 1.0), length[:, 0], angle[:, 0]
-
-
-def _straight(ends: FloatArray, share: FloatArray) -> FloatArray:
-    """Poses (P - 1, S, 4, 4) at shares (P - 1, S) of the straight ways, turning evenly."""
-    turn = log_rotation(np.swapaxes(ends[:-1, :3, :3], -1, -2) @ ends[1:, :3, :3])[:, None]
-    out = np.zeros((*share.shape, 4, 4))
-    out[..., :3, :3] = ends[:-1, None, :3, :3] @ exp_rotation(share[..., None] * turn)
-    out[..., :3, 3] = ends[:-1, None, :3, 3] + share[..., None] * np.diff(ends[:, :3, 3], axis=0)[:, None]
-    out[..., 3, 3] = 1.0
+        fast = np.linalg.norm(steps, axis=2).max(axis=1) * _PIECES / points.span
+        about = np.maximum(mean[1:-1], np.maximum(mean[:-2], mean[2:]))
+        out |= (length > GOES) & ((fast > UNEVEN * about) | (along.min(axis=1) < -0.2 * KEPT))
     return out
 
 
@@ -364,14 +456,14 @@ def _between(arms: Sequence[Driven], points: _Points, v: FloatArray, rows: IntAr
     middle = _at(q, span, v, np.array([0.5]))
     shares, weights = [], []
     for arm in arms:
-        share, length, angle = _share(arm.tool(q), arm.tool(middle))
+        share, length, angle = share_gone(arm.tool(q), arm.tool(middle))
         shares.append(share[rows, 0])
         weights.append(length[rows] + 0.3 * angle[rows] + 1e-9)
     share = np.average(shares, axis=0, weights=weights)
     found = middle[rows, 0]
-    for arm in arms:
-        wanted = _straight(arm.tool(q), _spread(share, rows, len(span)))
-        found[:, arm.columns] = _solved(arm, wanted[rows, 0], found[:, arm.columns])
+    for arm in carriers_first(arms):
+        wanted = straight(arm.tool(q), spread(share, rows, len(span)))
+        found[:, arm.columns] = arm.solved(wanted[rows, 0], found, end[rows + 1])
     halved = span.copy()
     halved[rows] *= 0.5
     return _Points(
@@ -380,48 +472,3 @@ def _between(arms: Sequence[Driven], points: _Points, v: FloatArray, rows: IntAr
         np.insert(end, rows + 1, end[rows + 1]),
         np.insert(points.corner, rows + 1, False),
     )
-
-
-def _spread(share: FloatArray, rows: IntArray, count: int) -> FloatArray:
-    out = np.full((count, 1), 0.5)
-    out[rows, 0] = share
-    return out
-
-
-def _solved(arm: Driven, wanted: FloatArray, q: FloatArray) -> FloatArray:
-    """Joints (K, J) near ``q`` at which the tool is at poses (K, 4, 4), by Newton's method; of seven joints
-    the smallest steps are taken."""
-    flange = inverse(arm.base) @ wanted @ inverse(arm.tcp)
-    out = q.copy()
-    for _ in range(_STEPS):
-        here = forward(arm.robot, out)
-        turn = (
-            here[:, :3, :3] @ log_rotation(np.swapaxes(here[:, :3, :3], 1, 2) @ flange[:, :3, :3])[..., None]
-        )
-        off = np.concatenate([turn[..., 0], flange[:, :3, 3] - here[:, :3, 3]], axis=1)
-        if np.abs(off).max(initial=0.0) <= _EXACT:
-            return out
-        out = out + np.einsum("kij,kj->ki", np.linalg.pinv(jacobian(arm.robot, out)), off)
-    raise NotKeptError(0, "no joints are found on the straight way")
-
-
-def way_time(
-    arms: Mapping[str, Driven],
-    start: FloatArray,
-    end: FloatArray,
-    shares: tuple[float, float],
-    tcp_speed: float,
-) -> float:
-    """Time [s] of a move from rest to rest, straight in joint space from ``start`` to ``end`` (D,), at which
-    joints keep ``shares`` of their speeds and accelerations and tools the speed [m/s]."""
-    change = np.abs(end - start)
-    out = LEAST_TIME
-    x = np.linspace(0.0, 1.0, 401)
-    q = start + (x * x * (3.0 - 2.0 * x))[:, None] * (end - start)
-    for arm in arms.values():
-        own = change[arm.columns]
-        out = max(out, float((1.5 * own / (shares[0] * arm.robot.velocity)).max()))
-        out = max(out, float(np.sqrt(6.0 * own / (shares[1] * arm.robot.acceleration)).max()))
-        steps = np.linalg.norm(np.diff(arm.tool(q)[:, :3, 3], axis=0), axis=1).max()
-        out = max(out, float(steps * (len(x) - 1) / (0.99 * tcp_speed)))
-    return out

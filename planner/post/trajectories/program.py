@@ -6,6 +6,7 @@ names the outputs that are on, which the runner takes back then."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -14,7 +15,7 @@ import numpy as np
 
 from planner import __version__
 from planner.claims import vocabulary
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, log_rotation
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import (
@@ -22,6 +23,7 @@ from planner.post.program import (
     Do,
     Job,
     Joints,
+    Load,
     Meet,
     OperationProgram,
     Run,
@@ -33,8 +35,11 @@ from planner.post.program import (
 )
 from planner.post.steps import require_mass
 from planner.post.trajectories import rows
-from planner.post.trajectories.curves import Curve, Driven, NotKeptError, curve, way_time
+from planner.post.trajectories.beginnings import settling_time, way_time
+from planner.post.trajectories.curves import Curve, curve
 from planner.post.trajectories.rows import JOINT_DECIMALS, TIME_DECIMALS, row
+from planner.post.trajectories.straight_ways import Driven, NotKeptError
+from planner.post.trajectories.wanted import wanted
 from planner.problem import Arm, Controller, Problem
 from planner.targets import Action
 from planner.tooling import Tool
@@ -120,11 +125,13 @@ class _Main:
 
     def _operation(self, programs: Mapping[str, OperationProgram]) -> None:
         first = programs[self.arms[0]]
-        place = self.plan.places[first.setup - 1]
+        stock = self.problem.setups[first.setup - 1].stock
+        holder = stock.held_by
         head = {
             "operation": rows.text(first.name) or "operation",
             "setup": first.setup,
-            "block": rows.pose(place),
+            "held_by": rows.name(holder) if holder else "",
+            "block": rows.pose(stock.grip if holder else self.plan.places[first.setup - 1]),
         }
         self.begins = row(head), programs  # behind the setup in which tools are mounted
         for together, steps in _pieces(programs):
@@ -161,8 +168,8 @@ class _Main:
                         self._way({arm: q}, {arm: program})
                     case Do(action):
                         self._action(action, arm)
-                    case Carry(load) if load is not None:
-                        raise TandemError(no_load(arm))
+                    case Carry(load):
+                        self._carry(arm, load)
 
     def _together(
         self, steps: Mapping[str, Sequence[Step]], programs: Mapping[str, OperationProgram]
@@ -184,6 +191,11 @@ class _Main:
             own = slice(first, first + task.robot.axes)
             out[arm] = Driven(task.robot, task.base, programs[arm].arm.tool.tcp, own)
             first = own.stop
+        for arm, driven in out.items():
+            track = programs[arm].track
+            holder = "" if track is None else track.frame.removeprefix("held:")
+            if track is not None and holder != track.frame and holder in out:
+                out[arm] = dataclasses.replace(driven, carrier=out[holder])
         return out
 
     # ---- moves ----
@@ -199,8 +211,8 @@ class _Main:
         start, end = (np.concatenate([q[self.columns[arm]] for arm in arms]) for q in (self.here, goal))
         shares = (limits.speed_fraction, limits.acceleration_fraction)
         took = way_time(driven, start, end, shares, limits.tcp_speed)
-        self._move(arms)
-        self._point(took + 10.0**-TIME_DECIMALS, goal, np.zeros(self.width))
+        begun = self._move(arms)
+        self._point(begun + took + 10.0**-TIME_DECIMALS, goal, np.zeros(self.width))
 
     def _work(
         self, arms: Sequence[str], programs: Mapping[str, OperationProgram], runs: Sequence[Run]
@@ -211,12 +223,12 @@ class _Main:
         some = slice(first, last)
         start = np.concatenate([self.here[self.columns[arm]] for arm in arms])
         found = [track.q[some] for track in tracks.values() if track is not None]
-        duration = next(track.duration[some] for track in tracks.values() if track is not None)
         q = np.concatenate([start[None], np.concatenate(found, axis=1)])
         driven = list(self._driven(arms, programs).values())
+        targets, speed = self.plan.operations[runs[0].operation].targets, self.problem.settings.tcp_speed
+        moving = {arm: programs[arm] for arm in arms}
         try:
-            even = bool((self.plan.operations[runs[0].operation].targets.feed_min > 0.0).any())
-            made = curve(driven, q, duration, lead.stop[some], self.problem.settings.tcp_speed, even)
+            made = curve(driven, q, lead.stop[some], wanted(targets, moving, some, speed))
         except NotKeptError as lost:
             segment = lead.segments[first + lost.row]
             message = (
@@ -224,10 +236,11 @@ class _Main:
             )
             hint = "let the motion stop at sharp corners, or go slower there"
             raise TandemError(Issue("post.trajectory", message, arm=arms[0], hint=hint)) from None
-        self._move(arms)
-        self._points(made, arms, [rows.label(lead.segments[first + row]) for row in made.end[1:].tolist()])
+        begun = self._move(arms)
+        labels = [rows.label(lead.segments[first + row]) for row in made.end[1:].tolist()]
+        self._points(made, begun, arms, labels)
 
-    def _points(self, made: Curve, arms: Sequence[str], labels: Sequence[str]) -> None:
+    def _points(self, made: Curve, begun: float, arms: Sequence[str], labels: Sequence[str]) -> None:
         said = ""
         for k, segment in enumerate(labels, 1):
             if segment != said:
@@ -240,9 +253,10 @@ class _Main:
                 q[own] = np.round(made.q[k, first : first + width], JOINT_DECIMALS)
                 v[own] = made.v[k, first : first + width]
                 first += width
-            self._point(float(made.t[k]), q, v)
+            self._point(begun + float(made.t[k]), q, v)
 
-    def _move(self, arms: Sequence[str]) -> None:
+    def _move(self, arms: Sequence[str]) -> float:
+        """A move and its first point, where it begins; the time [s] of that."""
         controller = self.controller
         if self.begins is not None:
             head, programs = self.begins
@@ -259,6 +273,18 @@ class _Main:
             "on_failure": list(self.on),
         }
         self.out.append(row(values))
+        within = WITHIN_GOALS * controller.goal_tolerance
+        begun = settling_time(self._all(), self.here, within, self.problem.settings.tcp_speed)
+        self._point(begun, self.here, np.zeros(self.width))
+        return float(np.round(begun, TIME_DECIMALS))
+
+    def _all(self) -> list[Driven]:
+        """All arms with what they carry: those that stand may be off as well."""
+        own = ((self.tasks[arm], self.columns[arm]) for arm in self.arms)
+        return [
+            Driven(task.robot, task.base, self.tools.get(task.arm.name, task.arm.tool).tcp, columns)
+            for task, columns in own
+        ]
 
     def _at(self) -> None:
         within = WITHIN_GOALS * self.controller.goal_tolerance
@@ -276,6 +302,22 @@ class _Main:
         self.points += 1
 
     # ---- what is said and switched ----
+
+    def _carry(self, arm: str, load: Load | None) -> None:
+        """What the tool holds from here on, in the frame of its TCP; of nothing the mass is 0."""
+        mass, centre, turn, inertia = 0.0, np.zeros(3), np.zeros(3), np.zeros(3)
+        if load is not None:
+            mass, centre, inertia = load.mass, load.cog, load.inertia
+            turn = log_rotation(load.axes[None])[0]
+        values = {
+            "carry": arm,
+            "mass": rows.real(mass, 3),
+            "centre": rows.numbers(centre, 6),
+            "axes": rows.numbers(turn, JOINT_DECIMALS),
+            "inertia": rows.numbers(inertia, 6),
+            "on_failure": list(self.on),
+        }
+        self.out.append(row(values))
 
     def _ask(self, text: str) -> None:
         self.out.append(row({"ask": rows.text(text), "on_failure": list(self.on)}))
@@ -296,12 +338,6 @@ class _Main:
                 self.out.append(row({"dwell": rows.real(action.seconds, 3), "on_failure": list(self.on)}))
             case "input":
                 raise TandemError(no_torch(arm))
-
-
-def no_load(arm: str) -> Issue:
-    """Why an arm that is driven by trajectories holds no block."""
-    message = f"arm {arm} holds the block; trajectories are written for tools alone"
-    return Issue("post.load", message, arm=arm, hint="let the block stand in the cell")
 
 
 def no_torch(arm: str) -> Issue:

@@ -16,7 +16,7 @@ from planner.geometry.arrays import FloatArray, log_rotation
 from planner.issues import Issue, TandemError
 from planner.post.program import LINE_END, number, plain
 
-VERSION: Final = 1
+VERSION: Final = 2
 """The form of the file."""
 TIME_DECIMALS: Final = 6
 """Decimals of times in s."""

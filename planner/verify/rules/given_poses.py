@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 from typing import Final
 
 import numpy as np
@@ -10,9 +11,10 @@ import numpy as np
 from planner.claims.claim import FollowsPoses, FollowsTable, FreeAxis
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
-from planner.verify.context import Context, Outcome, mm, rule
+from planner.verify.context import FEED_SLACK, Context, Outcome, mm, rule
 from planner.verify.replay import pose_passing
 from planner.verify.replay.pose_passing import Passing, PoseTable, Way, passing, slow_places, values
+from planner.verify.trajectories.tool_speeds import peaks
 
 FEED_ROUNDING: Final = 1.002
 """Moves may be faster than the feed by this factor: their times are rounded."""
@@ -179,7 +181,8 @@ def _range(
 
 
 def _feeds(context: Context, claim: FollowsTable, table: PoseTable, node: IntArray) -> list[Issue]:
-    """Poses to which the tools go faster than they may; ``node`` (P,) is the target that meets each."""
+    """Poses to which the tools go faster than they may; ``node`` (P,) is the target that meets each. On the
+    cubics of trajectories they may not at any instant."""
     motion = context.motion
     at = np.cumsum(motion.node_duration)[node]  # exact; samples are too far apart for short moves
     ways = [np.linalg.norm(np.diff(table.poses[arm][:, :3, 3], axis=0), axis=1) for arm in claim.arms]
@@ -192,6 +195,12 @@ def _feeds(context: Context, claim: FollowsTable, table: PoseTable, node: IntArr
         message = f"on the way to pose {i + 2} the tool moves at {mm(speed[i]):.2f} mm/s, allowed: "
         message += f"{mm(feed[i]):.2f} mm/s"
         issues.append(_issue(message, claim.arms[0], i + 1, mm(speed[i]), mm(feed[i]), "mm/s"))
+    peak = peaks(context)
+    most = np.array([peak[a:b].max(initial=0.0) for a, b in itertools.pairwise((node + 1).tolist())])
+    for i in np.flatnonzero(~(most <= FEED_SLACK * feed))[:20].tolist():
+        message = f"on the way to pose {i + 2} the tool moves at up to {mm(most[i]):.2f} mm/s, allowed: "
+        message += f"{mm(feed[i]):.2f} mm/s"
+        issues.append(_issue(message, claim.arms[0], i + 1, mm(most[i]), mm(feed[i]), "mm/s"))
     return issues
 
 

@@ -35,6 +35,7 @@ from planner.verify.programs.steps import (
 from planner.verify.rapid.syntax_tree import Module
 from planner.verify.rules import synchronisation
 from planner.verify.rules.synchronisation import straight_way
+from planner.verify.trajectories import flow as trajectory_flow
 from planner.verify.urscript.syntax_tree import STAND
 
 UNKNOWN_START = "verify.unknown_start"
@@ -308,13 +309,16 @@ def zone_size(context: Context) -> Outcome:
 
 @rule("verify.zero_length")
 def zero_length(context: Context) -> Outcome:
-    """No move goes nowhere with all arms, and no movel of URScript, of which no manual says what it does."""
+    """No move goes nowhere with all arms, but to where a goal of trajectories begins, and no movel of
+    URScript, of which no manual says what it does."""
     issues = []
     for stage in context.job.stages:
         rows = [(task, stage.moves(task.name)) for task in context.job.tasks if stage.moves(task.name)]
         for group in [rows] if stage.synchronised else [[row] for row in rows]:
             for i in range(1, min((len(moves) for _, moves in group), default=0)):
                 still = [(task, moves[i]) for task, moves in group if _still(moves[i - 1], moves[i])]
+                if all(move.kind in trajectory_flow.BEGINS.values() for _, move in still):
+                    continue
                 if len(still) == len(group):
                     task, move = still[0]
                     issues.append(at_step("verify.zero_length", "the move goes nowhere", task, move))

@@ -24,6 +24,7 @@ from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.replay.moves import driven_knots
 from planner.verify.rules.setups_and_frames import at_home
+from planner.verify.trajectories.tool_speeds import tool_speeds
 
 JOINT_JUMP = np.deg2rad(8.0)
 """A joint that turns farther than this [rad] from one sample to the next (4 ms) has changed its solution,
@@ -303,12 +304,21 @@ def singularity(context: Context) -> Outcome:
 @rule("verify.tcp_speed")
 def tcp_speed(context: Context) -> Outcome:
     """The tools move no faster than the problem allows: where the text states the time of a move by what
-    follows from it, elsewhere by the speed that it states."""
+    follows from it, elsewhere by the speed that it states; on the cubics of trajectories at every instant."""
     motion = context.motion
     issues, worst, where = [], 0.0, ""
     limit = context.problem.settings.tcp_speed
     for task in context.job.tasks:
         arm = task.arm.name
+        if task.trajectory is not None:
+            own = tool_speeds(context)[arm]
+            k = int(np.argmax(own.world)) if len(own.world) else 0
+            if len(own.world) and own.world[k] > worst:
+                worst, where = float(own.world[k]), arm
+            for k in np.flatnonzero(own.world > limit * (1.0 + 1e-6))[:20].tolist():
+                message = f"the tool of {arm} moves at up to {mm(own.world[k]):.1f} mm/s; allowed: "
+                issues.append(at_step("verify.tcp_speed", f"{message}{mm(limit):.1f}", task, own.moves[k]))
+            continue
         timed = _timed(context)[motion.node[1:]] & (motion.stage[1:] == motion.stage[:-1])
         place, speed = motion.tcp[arm].place, np.zeros(len(timed))
         for begin in range(0, len(timed), _SAMPLES_AT_ONCE):

@@ -4,22 +4,27 @@ points."""
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, exp_rotation, log_rotation
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, exp_rotation, inverse, log_rotation
 from planner.issues import Issue
+from planner.problem import Stock
 from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.job import TaskText
 from planner.verify.programs.operator_dialogue import on_panel
-from planner.verify.programs.steps import MoveStep, PassedTarget
+from planner.verify.programs.steps import PassedTarget
 from planner.verify.replay.arm_model import machine_of
+from planner.verify.replay.driven_speed import settling_share
 from planner.verify.replay.moves import cubic, driven_knots
-from planner.verify.rules.setups_and_frames import HOME_ERROR, MASS_ERROR
+from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR, MASS_ERROR
+from planner.verify.trajectories.flow import columns, pose
 from planner.verify.trajectories.rows import (
     AtRow,
+    CarryRow,
     MayFail,
     MoveRow,
     OperationRow,
@@ -28,6 +33,8 @@ from planner.verify.trajectories.rows import (
     SetRow,
     ToolRow,
 )
+from planner.verify.trajectories.tool_speeds import SLOW, tool_speeds
+from planner.verify.trajectories.tool_speeds import STANDS as STANDS_STILL
 
 SAME_POSTURE: Final = 1e-9
 """How far [rad] two numbers of one place may differ."""
@@ -37,20 +44,15 @@ BETWEEN: Final = 0.1e-3
 """How far [m] a tool may leave the straight way from point to point,"""
 BETWEEN_TURN: Final = float(np.deg2rad(0.1))
 """and how far [rad] it may be turned off it."""
-UNEVEN: Final = 2.5
-"""How many times as fast as in the mean a tool may go between two points; a cubic that speeds up evenly from
-rest reaches twice that."""
+UNEVEN: Final = 1.55
+"""How many times as fast as the fastest mean of the three ways about it a tool may go between two points; a
+cubic from rest to rest reaches 1.5 times its own."""
 _PIECES: Final = 8
 """Pieces of the way between two points at which its evenness is looked at."""
 _BACK: Final = 0.02e-3
-"""How far [m] a tool may go back in one of them,"""
-_STANDS: Final = 0.1e-3
-"""where points are farther apart than this [m]."""
-SLOW: Final = 0.1
-"""Below this share of the mean speeds beside it a point stands still, as a piece of the way between points
-does;"""
+"""How far [m] a tool may go back in one of them."""
 STANDS: Final = 1e-4
-"""below this speed [rad/s] of its fastest joint an arm does on all of the way to a point."""
+"""Below this speed [rad/s] of its fastest joint an arm stands on all of the way to a point."""
 _ROUNDED: Final = 1.0 + 1e-6
 _NONE: Final = "no trajectories"
 _AT_ONCE: Final = 16_384
@@ -88,6 +90,8 @@ def announced(context: Context) -> list[Issue]:
                 if (row.operation, row.setup) != (on_panel(name) or "operation", now):
                     what = f"operation {row.operation!r}, setup {row.setup}, is told; wanted: "
                     what += f"{name!r}, setup {now}" if now else "no more"
+                elif wrong := _held(setups[now - 1].stock, row):
+                    what = f"operation {row.operation!r}: {wrong}"
             elif isinstance(row, ToolRow) and 0 < now <= len(setups):
                 tool = setups[now - 1].cell.arm(row.arm).tool
                 if row.tool != tool.name or abs(row.mass - tool.mass) > MASS_ERROR:
@@ -99,6 +103,8 @@ def announced(context: Context) -> list[Issue]:
                 )
             if isinstance(row, OperationRow | ToolRow) and not isinstance(behind, ToolRow | AtRow):
                 what = what or "behind an operation and its tools comes the look at the joints"
+            if isinstance(row, CarryRow) and isinstance(behind, CarryRow) and row.arm == behind.arm:
+                what = f"arm {row.arm} is asked twice what it holds"
             if what:
                 issues.append(_at(code, what, program, row))
         if left := [name for name, _ in due]:
@@ -106,10 +112,23 @@ def announced(context: Context) -> list[Issue]:
     return issues
 
 
+def _held(stock: Stock, row: OperationRow) -> str:
+    """What is wrong with who holds the block, and how, "" for nothing."""
+    if row.held_by != (stock.held_by or ""):
+        return f"the block is told to be held by {row.held_by or 'no arm'}; wanted: {stock.held_by or 'none'}"
+    if not row.held_by:
+        return ""  # where it stands verify.work_object sees
+    away = inverse(stock.grip) @ pose(row.block)
+    if np.linalg.norm(away[:3, 3]) > FRAME_POSITION or not np.allclose(away[:3, :3], np.eye(3), atol=1e-6):
+        return f"the block is told to be elsewhere in the tool of {row.held_by}"
+    return ""
+
+
 @rule("verify.start_posture")
 def start_posture(context: Context) -> Outcome:
     """Trajectories: before each move all joints are looked at, within twice what a goal may be off, where the
-    move before has left them, the first time at home."""
+    move before has left them, the first time at home; its first point is that place, at rest, so late that
+    joints that are that far off come there within the limits of joints and tools."""
     issues: list[Issue] = []
     code, worst, limit = "verify.start_posture", 0.0, 0.0
     for _, program in _programs(context):
@@ -117,8 +136,10 @@ def start_posture(context: Context) -> Outcome:
         limit = WITHIN_GOALS * controller.goal_tolerance
         homes = {arm.name: arm.home for arm in context.problem.cell.arms}
         here = np.concatenate([homes[row.arm] for row in program.arms])
-        allowed, before = HOME_ERROR, None
+        allowed, before, tools = HOME_ERROR, None, dict[str, FloatArray]()
         for row in program.rows:
+            if isinstance(row, ToolRow):
+                tools[row.arm] = pose(row.tcp)
             if isinstance(row, AtRow):
                 worst = max(worst, row.within)
                 if not 0.0 < row.within <= limit * _ROUNDED:
@@ -136,10 +157,38 @@ def start_posture(context: Context) -> Outcome:
                     issues.append(
                         _at(code, "nothing looks right before this move where the joints are", program, row)
                     )
+                else:
+                    issues += _begins(context, program, row, before, tools)
                 here, allowed = np.array(row.points[-1].q), SAME_POSTURE
             before = row
     measure = float(np.rad2deg(worst)), float(np.rad2deg(limit)), "deg"
     return Outcome(tuple(issues), *measure, nothing="" if limit else _NONE)
+
+
+def _begins(
+    context: Context, program: Program, row: MoveRow, before: AtRow, tools: Mapping[str, FloatArray]
+) -> list[Issue]:
+    """What is wrong with the first point of a move, for joints that are looked at right before it; ``tools``
+    {arm: TCP (4, 4) in the flange} as they are by then."""
+    first, code = row.points[0], "verify.start_posture"
+    off = np.abs(np.array(first.q) - np.array(before.at)).max()
+    if off > SAME_POSTURE or any(first.v):
+        return [_at(code, "the first point of this move is not where it begins, at rest", program, row)]
+    out, place = list[Issue](), columns(program)
+    for task in context.job.tasks:
+        if task.trajectory is None or task.trajectory.program is not program:
+            continue
+        arm = task.arm
+        q, tool = np.array(first.q)[place[arm.name]], tools.get(arm.name, arm.tool.tcp)
+        speed = context.problem.settings.tcp_speed
+        share = settling_share(machine_of(arm.data), tool, q, before.within, first.t, speed)
+        if share > 1.0:
+            what = (
+                f"{arm.name} has {first.t:g} s to come from {np.rad2deg(before.within):g} deg off to where "
+            )
+            what += f"this move begins, for which it would need {100.0 * share:.0f} % of its limits"
+            out.append(_at(code, what, program, first, "let the first point come later"))
+    return out
 
 
 @rule("verify.goal_tolerances")
@@ -194,6 +243,9 @@ def power_on_failure(context: Context) -> Outcome:
             if left := [name for key, name in on.items() if key not in named]:
                 what = f"{', '.join(left)} stays on where this step does not end; on_failure has to name it"
                 issues.append(_at(code, what, program, row))
+            if isinstance(row, CarryRow) and on:
+                what = f"the operator is asked about a load while {', '.join(on.values())} is on"
+                issues.append(_at(code, what, program, row))
             if more := [name for key, name in named.items() if key not in on]:
                 issues.append(_at(code, f"on_failure names {', '.join(more)}, which is not on", program, row))
         if on:
@@ -206,8 +258,8 @@ def power_on_failure(context: Context) -> Outcome:
 @rule("verify.between_points")
 def between_points(context: Context) -> Outcome:
     """Trajectories: between two points of work the cubic in joint space keeps the tool on the straight way
-    from one to the other, within 0.1 mm and 0.1 degrees; it never goes back, and goes at most 2.5 times as
-    fast as in the mean."""
+    from one to the other, within 0.1 mm and 0.1 degrees; it never goes back, and is nowhere faster than 1.55
+    times its mean speeds to this point and to those beside it."""
     issues: list[Issue] = []
     code, worst, found = "verify.between_points", 0.0, False
     motion = context.motion
@@ -215,14 +267,15 @@ def between_points(context: Context) -> Outcome:
         if task.trajectory is None:
             continue
         arm, found = task.arm.name, True
-        work, before = _work(context, task)
+        work, before, after, holders = _work(context, task)
         issues += _uneven(context, task)
         looks = motion.looks
         rows = np.flatnonzero(work[looks.node])
         for first in range(0, len(rows), _AT_ONCE):
             some = rows[first : first + _AT_ONCE]
             node = looks.node[some]
-            off, turn = _off(before[node], motion.node_tcp[arm][node], motion.poses(arm, looks.row[some]))
+            here = _seen(context, arm, holders[node], looks.row[some], motion.poses)
+            off, turn = _off(before[node], after[node], here)
             worst = max(worst, float(off.max(initial=0.0)))
             bad = np.flatnonzero((off > BETWEEN) | (turn > BETWEEN_TURN))
             for k in _first_of_each(node[bad], bad)[:20].tolist():
@@ -237,39 +290,29 @@ def between_points(context: Context) -> Outcome:
 
 
 def _uneven(context: Context, task: TaskText) -> list[Issue]:
-    """Points before which the tool goes back on its way, or far faster than in the mean: rules on feeds see
-    it from station to station alone."""
+    """Points before which the tool goes back on its way, or far faster than from point to point about
+    there."""
     out: list[Issue] = []
-    machine = machine_of(task.arm.data)
-    moves = [step for step in task.steps if isinstance(step, MoveStep)]
-    q, v = driven_knots(task.arm.data, moves, task.arm.home)
-    passed = np.flatnonzero([isinstance(move.target, PassedTarget) for move in moves])
-    span = np.array([move.time or 0.0 for move in moves])[:, None, None]
-    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
-    for first in range(0, len(passed), _AT_ONCE // _PIECES):
-        some = passed[first : first + _AT_ONCE // _PIECES]
-        a, b, va, vb = (knots[rows][:, None] for knots in (q, v) for rows in (some, some + 1))
-        joints = cubic(a, b, va, vb, span[some], share)
-        tools = np.array([moves[k].tool.pose for k in some.tolist()])[:, None]
-        place = (machine.flange(joints) @ tools)[..., :3, 3]
-        way = place[:, -1] - place[:, 0]
-        length = np.linalg.norm(way, axis=1)
-        steps = np.diff(place, axis=1)
-        along = np.einsum("spi,si->sp", steps, way) / np.maximum(length, 1e-9)[:, None]
-        fast = np.linalg.norm(steps, axis=2).max(axis=1) * _PIECES
-        goes = length > _STANDS
-        bad = goes & ((along.min(axis=1) < -_BACK) | (fast > UNEVEN * length))
-        for k in np.flatnonzero(bad)[:20].tolist():
-            times, back = fast[k] / length[k], mm(max(0.0, -float(along[k].min())))
-            what = f"before this point the tool of {task.arm.name} goes {times:.1f} times as fast as in the "
-            what += f"mean, and back by {back:.3f} mm; allowed: {UNEVEN:g} times, and {mm(_BACK):g} mm"
-            out.append(at_step("verify.between_points", what, task, moves[int(some[k])]))
+    speeds = tool_speeds(context)[task.arm.name]
+    moves, mean = speeds.moves, speeds.mean
+    works = np.array([isinstance(move.target, PassedTarget) for move in moves])
+    about = np.maximum(mean, np.maximum(np.append(mean[1:], 0.0), np.append(0.0, mean[:-1])))
+    goes = works & (speeds.length > STANDS_STILL)
+    times = np.where(goes, speeds.peak / np.maximum(about, 1e-9), 0.0)
+    for k in np.flatnonzero(times > UNEVEN)[:20].tolist():
+        what = f"before this point the tool of {task.arm.name} goes up to {mm(speeds.peak[k]):.2f} mm/s, "
+        what += f"{times[k]:.2f} times as fast as from point to point there; allowed: {UNEVEN:g} times"
+        out.append(at_step("verify.between_points", what, task, moves[k]))
+    for k in np.flatnonzero(goes & (speeds.back > _BACK))[:20].tolist():
+        what = f"before this point the tool of {task.arm.name} goes back by {mm(speeds.back[k]):.3f} mm; "
+        out.append(at_step("verify.between_points", f"{what}allowed: {mm(_BACK):g} mm", task, moves[k]))
     return out
 
 
 def standing(context: Context) -> BoolArray:
     """Nodes (K,) at which, or on the way to which, arms that are driven by trajectories come so near to a
-    standstill that it is one, though no velocity of the text is 0."""
+    standstill that it is one, though no velocity of the text is 0; of a block that one holds, as it sees the
+    other one's tool."""
     motion = context.motion
     out = np.zeros(len(motion.node_stop), dtype=np.bool_)
     share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None, None]
@@ -295,24 +338,50 @@ def standing(context: Context) -> BoolArray:
         least = np.linalg.norm(np.diff(way, axis=0), axis=2).min(axis=0) * _PIECES / span[:, 0]
         rests = np.abs(np.diff(place, axis=0) * fastest / span).max(axis=1) < STANDS
         out[nodes] = np.append(slow, False) | (least < SLOW * mean) | rests
+    for speeds in tool_speeds(context).values():
+        out[speeds.node] |= speeds.creeps
     return out
 
 
-def _work(context: Context, task: TaskText) -> tuple[FloatArray, FloatArray]:
-    """Which nodes (K,) the arm passes in work, and where its tool (K, 4, 4) is before each."""
+def _work(context: Context, task: TaskText) -> tuple[BoolArray, FloatArray, FloatArray, NDArray[np.object_]]:
+    """Which nodes (K,) the arm passes in work, where its tool (K, 4, 4) is before each and there, and which
+    arm (K,) holds the block, as seen from whose tool that is; "" in the world."""
     motion, arm = context.motion, task.arm.name
     count = len(motion.node_segment)
-    work = np.zeros(count, dtype=bool)
+    work, holders = np.zeros(count, dtype=bool), np.full(count, "", dtype=object)
     for number, stage in enumerate(context.job.stages):
         moves = stage.moves(task.name)
         nodes = np.flatnonzero((motion.node_stage == number) & (motion.node_line[arm] > 0))
         for node, move in zip(nodes, moves, strict=False):
             work[node] = not move.by_joints
-    before = np.empty((count, 4, 4))
-    before[1:] = motion.node_tcp[arm][:-1]
+            holders[node] = "" if move.wobj.fixed else move.wobj.unit
     begins = np.flatnonzero(np.append(True, motion.node_stage[1:] != motion.node_stage[:-1]))
-    before[begins] = motion.tcp[arm][np.searchsorted(motion.node, begins)]
-    return work, before
+    ends = {name: motion.node_tcp[name] for name in motion.node_tcp}
+    start = {}
+    for name, after in ends.items():
+        start[name] = np.empty((count, 4, 4))
+        start[name][1:] = after[:-1]
+        start[name][begins] = motion.tcp[name][np.searchsorted(motion.node, begins)]
+    rows = np.arange(count)
+    before = _seen(context, arm, holders, rows, lambda name, some: start[name][some])
+    after = _seen(context, arm, holders, rows, lambda name, some: ends[name][some])
+    return work, before, after, holders
+
+
+def _seen(
+    context: Context,
+    arm: str,
+    holders: NDArray[np.object_],
+    rows: IntArray,
+    poses: Callable[[str, IntArray], FloatArray],
+) -> FloatArray:
+    """``poses`` (K, 4, 4) of an arm's tool at ``rows`` (K,) as seen from the tools of ``holders`` (K,)."""
+    out = poses(arm, rows).copy()
+    for holder in context.motion.tcp:
+        some = np.flatnonzero(holders == holder)
+        if len(some):
+            out[some] = inverse(poses(holder, rows[some])) @ out[some]
+    return out
 
 
 def _off(start: FloatArray, end: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from planner.verify.programs.steps import Fault
 
-VERSION: Final = 1
+VERSION: Final = 2
 """The form of the file that is read."""
 MOST_VALUE: Final = 1e6
 """Numbers are no larger [s, rad, m, kg]."""
@@ -44,10 +44,12 @@ class ArmRow(Row):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OperationRow(Row):
-    """An operation begins, in a setup [from 1] in which the block stands at `block` (6,) in the world."""
+    """An operation begins, in a setup [from 1] in which the block stands at `block` (6,) in the world, or in
+    the frame of the TCP of the arm that it is `held_by`."""
 
     operation: str
     setup: int
+    held_by: str
     block: tuple[float, ...]
 
 
@@ -60,6 +62,20 @@ class ToolRow(Row):
     tcp: tuple[float, ...]
     mass: float
     centre: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CarryRow(Row):
+    """What an arm's tool holds from here on, in the frame of its TCP: `mass` [kg], 0 for nothing, `centre`
+    (3,) [m], moments of `inertia` (3,) [kg m^2] about `axes` (3,), a rotation vector, through it. The
+    operator says that the arm's controller knows it, or nothing more is done."""
+
+    arm: str
+    mass: float
+    centre: tuple[float, ...]
+    axes: tuple[float, ...]
+    inertia: tuple[float, ...]
+    on_failure: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +152,7 @@ class MoveRow(Row):
     points: list[Point] = field(default_factory=list)
 
 
-MayFail = AtRow | AskRow | AwaitRow | DwellRow | MoveRow
+MayFail = CarryRow | AtRow | AskRow | AwaitRow | DwellRow | MoveRow
 """Rows of steps that may not end; ``on_failure`` names the outputs that fall then."""
 
 
@@ -252,7 +268,7 @@ def _program(file: str, lines: Sequence[str], found: Sequence[Any]) -> Program:
         match row:
             case ArmRow() if not rows and segment is None:
                 arms.append(row)
-            case _Segment() if move is not None and (segment is not None or not move.points):
+            case _Segment() if move is not None and (segment is not None or len(move.points) == 1):
                 segment = row.segment
             case Point() if move is not None:
                 move.points.append(Point(row.line, row.t, row.q, row.v, segment or ""))
@@ -298,7 +314,9 @@ def _fits(row: Row, program: Program) -> None:
     match row:
         case AtRow(at=values):
             _wide(row, program, values)
-        case ToolRow(arm=arm) if arm not in known:
+        case OperationRow(held_by=arm) if arm and arm not in known:
+            raise _MisplacedError(row.line, f"there is no arm {arm}", "undeclared")
+        case ToolRow(arm=arm) | CarryRow(arm=arm) if arm not in known:
             raise _MisplacedError(row.line, f"there is no arm {arm}", "undeclared")
         case MoveRow(arms=arms, points=points):
             if not arms or [name for name in known if name in arms] != list(arms):
@@ -408,6 +426,10 @@ def _name(name: str, value: Any) -> str:
     return value
 
 
+def _name_or_none(name: str, value: Any) -> str:
+    return "" if value == "" else _name(name, value)
+
+
 def _names(name: str, value: Any) -> tuple[str, ...]:
     if not isinstance(value, list):
         raise RowError("type", f"{name} is no list of names")
@@ -435,8 +457,22 @@ _KINDS: Final[Mapping[str, tuple[_Keys, Callable[..., Any]]]] = {
         _Head,
     ),
     "arm": ({"arm": _name, "robot": _name, "joints": _names, "base": _reals(6)}, ArmRow),
-    "operation": ({"operation": _text, "setup": _whole, "block": _reals(6)}, OperationRow),
+    "operation": (
+        {"operation": _text, "setup": _whole, "held_by": _name_or_none, "block": _reals(6)},
+        OperationRow,
+    ),
     "tool": ({"tool": _name, "arm": _name, "tcp": _reals(6), "mass": _real, "centre": _reals(3)}, ToolRow),
+    "carry": (
+        {
+            "carry": _name,
+            "mass": _real,
+            "centre": _reals(3),
+            "axes": _reals(3),
+            "inertia": _reals(3),
+            **_FALLS,
+        },
+        CarryRow,
+    ),
     "at": ({"at": _reals(), "within": _real, **_FALLS}, AtRow),
     "tell": ({"tell": _text}, TellRow),
     "ask": ({"ask": _text, **_FALLS}, AskRow),
