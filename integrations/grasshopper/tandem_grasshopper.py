@@ -298,12 +298,13 @@ def _cancel(ghenv: Any, client: Any) -> None:
 
 def _followed(client: Any, task: Task) -> dict[str, Any]:
     """A job when it has ended; how far it is meanwhile is told to the task."""
-    for kind, data in client.events(task.job):
+
+    def progress(stage: str, fraction: float) -> None:
         if task.left:
             raise _LeftError
-        if kind == "progress":
-            task.stage, task.fraction = str(data["stage"]), float(data["fraction"])
-    found: dict[str, Any] = client.job(task.job)
+        task.stage, task.fraction = stage, fraction
+
+    found: dict[str, Any] = client.wait(task.job, progress)
     return found
 
 
