@@ -53,7 +53,9 @@ def _asked(said: Said, want: str) -> dict[str, Any]:
     path = file_of(said)
     path.stat()
     keys = ("face", "name", "colour", "rulings", "flip")
-    asked = {"file": str(path.absolute()), "want": want, "size": _metres(said)} | {key: said.get(key) for key in keys}
+    asked = {"file": str(path.absolute()), "want": want, "size": _metres(said)} | {
+        key: said.get(key) for key in keys
+    }
     try:
         done = subprocess.run(
             [sys.executable, "-m", "planner.verify.files.step"],
