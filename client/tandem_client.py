@@ -80,6 +80,8 @@ RETRY_S: Final = 1.0
 """Pause [s] before a stream that broke off is opened again."""
 PAUSES_S: Final = (1.0, 3.0, 9.0)
 """Pauses [s] before a request that makes jobs is sent again after its connection broke off."""
+AWAY: Final = (502, 503, 504)
+"""Statuses by which a proxy says that the service does not answer now, or the service that it cannot."""
 MOST_DELETED: Final = 200
 """Jobs that one request deletes."""
 LONGEST_KEY: Final = 255
@@ -152,14 +154,24 @@ class Client:
         timeout_s: float = 300.0,
         context: ssl.SSLContext | None = None,
     ) -> None:
-        if urllib.parse.urlsplit(url).scheme not in ("http", "https"):
+        try:
+            parts = urllib.parse.urlsplit(url)
+        except ValueError:  # [::1 without its end
+            parts = urllib.parse.SplitResult("", "", "", "", "")
+        if parts.scheme not in ("http", "https"):
             raise self._answer(url, "is no http or https URL; give one such as http://127.0.0.1:8000")
         self._url, self._timeout_s = url.rstrip("/"), timeout_s
         self._token = (token or "").strip()
         if not (self._token.isascii() and self._token.isprintable()):
             what = "the token has characters that no token has; copy it again"
             raise self._refused({"code": "service.token", "message": what, "field": "token"})
-        self._opener = urllib.request.build_opener(_NoRedirect, urllib.request.HTTPSHandler(context=context))
+        proxies = _proxies(parts)
+        self._place = f"{self._url}{_told(proxies.get(parts.scheme))}"
+        self._opener = urllib.request.build_opener(
+            _NoRedirect,
+            urllib.request.HTTPSHandler(context=context),
+            urllib.request.ProxyHandler(proxies),
+        )
         self._api = 0  # of the service; 0 until it was asked
 
     def service(self) -> dict[str, Any]:
@@ -399,20 +411,23 @@ class Client:
             except (OSError, ValueError, http.client.HTTPException):  # the line broke off
                 pass
             if not ended:
-                time.sleep(min(RETRY_S, _left(until)))
-                if time.monotonic() >= until:
-                    what = f"job {job}: not ended within {timeout_s} s; it goes on, wait again or cancel it"
-                    raise self._refused({"code": "service.timeout", "message": what, "field": "timeout_s"})
-                ended = self._settled(job, until)
+                self._pause(job, until, timeout_s)
+                found = self._if_there(job, until)
+                ended = found is not None and found["state"] not in OPEN
 
     def wait(
         self, job: str, progress: Progress | None = None, timeout_s: float | None = None
     ) -> dict[str, Any]:
         """The job when it has ended; with ``timeout_s`` no longer than that."""
+        until = math.inf if timeout_s is None else time.monotonic() + timeout_s
         for kind, data in self.events(job, timeout_s):
             if kind == "progress" and progress is not None:
                 progress(str(data["stage"]), float(data["fraction"]))
-        return self.job(job)
+        found = self._if_there(job, until)
+        while found is None:
+            self._pause(job, until, timeout_s)
+            found = self._if_there(job, until)
+        return found
 
     def file(self, job: str, name: str) -> bytes:
         """A file of a job, by its name in the list of files."""
@@ -670,8 +685,9 @@ class Client:
         reason = getattr(error, "reason", error)
         if isinstance(reason, socket.timeout):
             what = f"gave no answer within {self._timeout_s:g} s; see how busy it is, or give timeout_s more"
-            return self._answer(self._url, what, "service.timeout")
-        return self._answer(self._url, f"does not answer ({reason}); see that it runs")
+            return self._answer(self._place, what, "service.timeout")
+        past = "" if self._place == self._url else ", or name it in no_proxy"
+        return self._answer(self._place, f"does not answer ({reason}); see that it runs{past}")
 
     def _refusal(self, error: urllib.error.HTTPError) -> Exception:
         """The issues of a refusal."""
@@ -691,7 +707,7 @@ class Client:
                 told = [said.get(name) for name in ("title", "detail")] if isinstance(said, dict) else []
                 why = ": ".join(one[:200] for one in told if isinstance(one, str))  # of a proxy, perhaps
                 return self._answer(
-                    self._url,
+                    self._place,
                     f"answers with status {error.code}{f' ({why})' if why else ''}; is it a Tandem?",
                 )
 
@@ -731,14 +747,22 @@ class Client:
                 return
             asked = {**asked, "cursor": page["next"]}
 
-    def _settled(self, job: str, until: float) -> bool:
+    def _if_there(self, job: str, until: float) -> dict[str, Any] | None:
+        """The job; None while the service is away, perhaps for a restart."""
         try:
-            found = self._request(_of(job), timeout_s=min(self._timeout_s, _left(until)))
-            return self._read_json(found)["state"] not in OPEN
+            return self._read_json(self._request(_of(job), timeout_s=min(self._timeout_s, _left(until))))
         except self._error as error:
-            if all(issue.code in ("service.answer", "service.timeout") for issue in error.issues):
-                return False  # it is away, perhaps for a restart
+            away = getattr(error.__cause__, "code", None) in AWAY
+            if away or all(one.code in ("service.answer", "service.timeout") for one in error.issues):
+                return None
             raise
+
+    def _pause(self, job: str, until: float, timeout_s: float | None) -> None:
+        """Wait for the service to be there again, unless time is up."""
+        time.sleep(min(RETRY_S, _left(until)))
+        if time.monotonic() >= until:
+            what = f"job {job}: not ended within {timeout_s} s; it goes on, wait again or cancel it"
+            raise self._refused({"code": "service.timeout", "message": what, "field": "timeout_s"})
 
     def _stream(self, job: str, after: int, until: float) -> Iterator[tuple[int, str, dict[str, Any]]]:
         self._want(1)
@@ -756,6 +780,9 @@ class Client:
                     if time.monotonic() >= until:
                         return
         except urllib.error.HTTPError as error:
+            if error.code in AWAY:
+                error.close()
+                raise ConnectionError(f"status {error.code}") from error
             raise self._refusal(error) from error
 
     def _upload(self, path: str, problem: Any, files: Mapping[str, Content] | None) -> dict[str, Any]:
@@ -819,13 +846,16 @@ class Client:
         pauses: Sequence[float] = (),
     ) -> bytes:
         """The answer; after each of the ``pauses`` [s] it is asked for again where the connection broke
-        off."""
+        off, or a proxy found nobody behind it."""
         self._want(1)
         try:
             with self._open(path, body, headers or {}, method, timeout_s or self._timeout_s) as answer:
                 return answer.read()
         except urllib.error.HTTPError as error:
-            raise self._refusal(error) from error
+            if not (pauses and error.code in AWAY[:2]):
+                raise self._refusal(error) from error
+            error.close()
+            time.sleep(pauses[0])
         except (OSError, ValueError, http.client.HTTPException) as error:
             if not (pauses and _broken_off(error)):
                 raise self._away(error) from error
@@ -848,6 +878,20 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 
     def redirect_request(self, *asked: Any) -> None:
         """Nothing."""
+
+
+def _proxies(parts: urllib.parse.SplitResult) -> dict[str, str]:
+    """The proxies of this machine by scheme, none for what is on it: a proxy's own loopback is another."""
+    host = (parts.hostname or "").rstrip(".")
+    if host in ("localhost", "::1") or host.startswith("127.") or urllib.request.proxy_bypass(host):
+        return {}
+    return urllib.request.getproxies()
+
+
+def _told(proxy: str | None) -> str:
+    """How a proxy is named to people, without a password that its address may have."""
+    shown = (proxy or "").rstrip("/").rpartition("@")[2].rpartition("/")[2]
+    return f" through the proxy {shown} of this machine" if shown else ""
 
 
 def _broken_off(error: Exception) -> bool:

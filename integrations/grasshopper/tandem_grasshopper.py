@@ -108,6 +108,8 @@ def job(
 
     def planned(task: Task, said: Any, sent: Mapping[str, Any]) -> dict[str, Any]:
         task.job = client.submit(said, files=sent)
+        if task.cancelled:  # while it was sent
+            client.cancel(task.job)
         return _followed(client, task)
 
     if cancel:
@@ -161,7 +163,10 @@ def result(ghenv: Any, client: Any, job: str | None, folder: str | None = None) 
     issues = _issues(found["job"])
     _tell(ghenv, issues)
     ghenv.Component.Message = found["job"]["state"]
-    scale = _scale()
+    scale, unmeasured = _scale_or_why()
+    if scale is None:
+        _tell(ghenv, unmeasured)
+        return (found["job"]["state"], _lines((*issues, *unmeasured)), *[None] * 10)
     if task.shown is None or task.shown[0] != scale:
         task.shown = scale, _shown(found, scale)
     links = (found["programs"], found["report"], found["replay"])
@@ -190,7 +195,11 @@ def panels(ghenv: Any, client: Any, element: str | None, refresh: bool | None = 
         if task.issues:
             _drop(ghenv)
         return [], [], [], [], []
-    found, scale = task.value["element"], _scale()
+    found = task.value["element"]
+    scale, unmeasured = _scale_or_why()
+    if scale is None:
+        _tell(ghenv, unmeasured)
+        return [], [], [], [], []
     if task.shown is None or task.shown[0] != scale:
         meshes = {name: _rhino_mesh(one, scale) for name, one in task.value["meshes"].items()}
         task.shown = scale, meshes
@@ -283,9 +292,11 @@ def _cancel(ghenv: Any, client: Any) -> None:
     """Cancel the job that a component has begun, once."""
     state = scriptcontext.sticky.get(f"{_name(ghenv)} button")
     task = None if state is None else state.task
-    if client is None or task is None or task.done or task.cancelled or not task.job:
+    if client is None or task is None or task.done or task.cancelled:
         return
     task.cancelled = True
+    if not task.job:
+        return  # who sends it cancels it then
 
     def ask() -> None:
         try:
@@ -298,12 +309,13 @@ def _cancel(ghenv: Any, client: Any) -> None:
 
 def _followed(client: Any, task: Task) -> dict[str, Any]:
     """A job when it has ended; how far it is meanwhile is told to the task."""
-    for kind, data in client.events(task.job):
+
+    def progress(stage: str, fraction: float) -> None:
         if task.left:
             raise _LeftError
-        if kind == "progress":
-            task.stage, task.fraction = str(data["stage"]), float(data["fraction"])
-    found: dict[str, Any] = client.job(task.job)
+        task.stage, task.fraction = stage, fraction
+
+    found: dict[str, Any] = client.wait(task.job, progress)
     return found
 
 
@@ -355,7 +367,10 @@ def _said(problem: Any) -> Any:
         return dict(problem)
     text = str(problem).strip()
     if text.startswith("{"):
-        found = json.loads(text)
+        try:
+            found = json.loads(text)
+        except ValueError as error:
+            raise ValueError(f"problem: is no JSON ({error}); correct it, or give a dict or a path") from None
         return dict(found)
     if "\n" in text or not Path(text).is_file():
         raise ValueError(f"problem: {text[:80]!r} is no file; give the path of one, a dict, or JSON")
@@ -363,7 +378,12 @@ def _said(problem: Any) -> Any:
 
 
 def _sent(files: Sequence[str] | None) -> dict[str, Any]:
-    return {Path(one).name: Path(one) for one in files or ()}
+    """Files by the names that a problem has for them."""
+    sent: dict[str, Any] = {}
+    for path in map(Path, files or ()):
+        if sent.setdefault(path.name, path) != path:
+            raise ValueError(f"files: two are called {path.name}, {sent[path.name]} and {path}; rename one")
+    return sent
 
 
 def _with_part(
@@ -398,6 +418,14 @@ def _scale() -> float:
     if str(unit).rpartition(".")[2] in NO_UNIT:
         raise ValueError(f"the document's unit is {unit}; set one, such as millimetres, by _Units")
     return float(Rhino.RhinoMath.UnitScale(unit, Rhino.UnitSystem.Millimeters))
+
+
+def _scale_or_why() -> tuple[float | None, tuple[Any, ...]]:
+    """As :func:`_scale`, or None and an issue."""
+    try:
+        return _scale(), ()
+    except ValueError as error:
+        return None, (tandem_client.Issue("desk", str(error)),)
 
 
 def _mesh(mesh: Any) -> dict[str, Any]:

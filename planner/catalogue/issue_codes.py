@@ -208,6 +208,7 @@ CODES: Final[dict[str, Code]] = {
     "part.dxf_left_out": Code(
         "entities of a DXF file were left out because they are of no use here", given=True
     ),
+    "part.dxf_unit": Code("a DXF file states another unit than the problem does", given=True),
     "part.rhino": Code(
         "a Rhino file cannot be read, or holds nothing, or not one thing, of what is wanted from it",
         given=True,

@@ -35,9 +35,9 @@ class Add:
     """
 
     urdf: tyro.conf.Positional[Path]
-    """the URDF; of a xacro: xacro FILE.xacro > FILE.urdf"""
+    """the URDF; of a xacro: xacro FILE.xacro -o FILE.urdf"""
     family: str
-    """of its controller: abb for RAPID, kuka for KRL, ur for URScript"""
+    """of its controller: abb for RAPID, kuka for KRL, ur for URScript; generic: for ROS 2 alone"""
     payload_kg: float
     """what the arm may carry, by the data sheet"""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None

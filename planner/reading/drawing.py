@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray
+from planner.geometry.units import LENGTH_UNITS
 from planner.issues import Issue, Severity, TandemError
 
 CAD_INSTALL: Final = "pip install 'tandem-planner[cad]'"
@@ -22,6 +23,10 @@ MOST_BYTES: Final = 50_000_000
 """Files larger than this [bytes] are refused unread."""
 MOST_CURVES: Final = 2000
 """Curves of a file at most."""
+LARGEST: Final = 100.0
+"""A drawing whose curves reach farther [m] is in another unit."""
+INSUNITS: Final = {1: ("in", 0.0254), 2: ("ft", 0.3048), 4: ("mm", 1e-3), 5: ("cm", 1e-2), 6: ("m", 1.0)}
+"""Units that a drawing may state in its header ($INSUNITS), by their numbers, in metres."""
 _JOINED_WITHIN: Final = 1e-5
 """Ends [m] that are this near are joined."""
 
@@ -39,7 +44,8 @@ class FileCurve:
 
 
 def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[list[FileCurve], list[Issue]]:
-    """Curves of a drawing's model space, lengths in ``unit`` metres, and notes of what was left out.
+    """Curves of a drawing's model space that are visible, lengths in ``unit`` metres, and notes of what was
+    left out, and of another unit that the drawing states.
 
     Pieces whose ends meet within 0.01 mm are joined. Raises ``TandemError`` with ``problem.missing_file``,
     ``problem.too_large``, ``part.extra_missing`` or ``part.dxf``.
@@ -60,10 +66,13 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
         raise refused("part.dxf", path, field, f"cannot be read ({reason}); export it again") from error
     layers = sorted({entity.dxf.layer for entity in space})
-    wanted = [e for e in space if layer is None or e.dxf.layer.lower() == layer.lower()]
+    asked = [e for e in space if layer is None or e.dxf.layer.lower() == layer.lower()]
+    wanted = [e for e in asked if not _is_hidden(e, drawing)]
     curves = [e for e in wanted if e.dxftype() in ENTITY_KINDS]
+    hidden = f"{len(asked) - len(wanted)} hidden" if len(asked) > len(wanted) else ""
     if not curves:
         what = f"has no curves on layer {layer}" if layer is not None else "has no curves"
+        what += f", but {hidden}; {_SHOW}" if hidden else ""
         raise refused("part.dxf", path, field, f"{what}; its layers are {', '.join(layers[:12]) or '(none)'}")
     notes = []
     others = sorted({e.dxftype() for e in wanted} - set(ENTITY_KINDS))
@@ -71,6 +80,18 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         what = f"{path.name}: left out {', '.join(others)}; "
         what += f"only {', '.join(ENTITY_KINDS)} are read (explode blocks)"
         notes.append(Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field=field))
+    if hidden:
+        what = f"{path.name}: left out {hidden}; {_SHOW}"
+        notes.append(Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field=field))
+    name, metres = INSUNITS.get(drawing.header.get("$INSUNITS", 0), ("", unit))
+    if abs(metres - unit) > 1e-9:
+        said = next(short for short, size in LENGTH_UNITS.items() if size == unit)
+        what = (
+            f"{path.name} says that its lengths are in {name} ($INSUNITS), the problem reads them in {said}; "
+        )
+        what += f"see its sides: write unit: {name}, or save it with its own unit (_UNITS)"
+        notes.append(Issue("part.dxf_unit", what, Severity.WARNING, file=str(path), field=field))
+    _require_size(curves, ezpath, unit, path, field)
     pieces = [_flat(e, ezpath, unit) for e in curves]
     pieces = [p for p in pieces if len(p) > 1]
     if len(pieces) > MOST_CURVES:
@@ -79,6 +100,29 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
     if any(not np.isfinite(p).all() for p in pieces):
         raise refused("part.dxf", path, field, "has numbers that are not finite; export it again")
     return joined(pieces), notes
+
+
+_SHOW: Final = "show what is invisible, off or frozen, if it is meant"
+"""What to do in a CAD program with what is hidden."""
+
+
+def _is_hidden(entity: Any, drawing: Any) -> bool:
+    """Whether an entity is invisible, or its layer off or frozen."""
+    if entity.dxf.get("invisible", 0) or not drawing.layers.has_entry(entity.dxf.layer):
+        return bool(entity.dxf.get("invisible", 0))
+    layer = drawing.layers.get(entity.dxf.layer)
+    return bool(layer.is_off() or layer.is_frozen())
+
+
+def _require_size(curves: list[Any], ezpath: Any, unit: float, path: Path, field: str) -> None:
+    """Raises ``TandemError`` (``part.dxf``) for curves that are as large as no part is: their points would be
+    too many."""
+    corners = [[(v.x, v.y, v.z) for v in ezpath.make_path(one).control_vertices()] for one in curves]
+    points = np.array([v for one in corners for v in one], dtype=np.float64).reshape(-1, 3) * unit
+    across = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    if across > LARGEST:
+        what = f"is {across:.4g} m across, up to {LARGEST:g} m are read; see the unit, or clear stray points"
+        raise refused("part.dxf", path, field, what)
 
 
 def _flat(entity: Any, ezpath: Any, unit: float) -> FloatArray:
@@ -90,20 +134,23 @@ def _flat(entity: Any, ezpath: Any, unit: float) -> FloatArray:
 def joined(pieces: list[FloatArray]) -> list[FileCurve]:
     """Curves made of pieces whose ends meet, in the order of the file: each is run as the first of its pieces
     is drawn, and one that is closed begins with that."""
-    left = list(pieces)
+    ends = np.array([piece[[0, -1]] for piece in pieces]).reshape(-1, 2, 3)
+    left = np.array([not _shut(piece) for piece in pieces], dtype=bool)  # pieces that others may go on with
+    done = np.zeros(len(pieces), dtype=bool)
     out = []
-    while left:
-        first = chain = left.pop(0)
+    for begin, first in enumerate(pieces):
+        if done[begin]:
+            continue
+        chain, left[begin] = first, False
         grown = True
         while grown and not _shut(chain):
             grown = False
-            for i, other in enumerate(left):
-                if _shut(other):
-                    continue
-                joined = _attach(chain, other)
+            gap = np.linalg.norm(ends[left][:, :, None] - chain[[0, -1]], axis=-1).min(axis=(1, 2))
+            for i in np.flatnonzero(left)[gap <= 2.0 * _JOINED_WITHIN]:
+                joined = _attach(chain, pieces[i])
                 if joined is not None:
                     chain, grown = joined, True
-                    left.pop(i)
+                    left[i], done[i] = False, True
                     break
         closed = _shut(chain)
         points = chain[:-1] if closed else chain

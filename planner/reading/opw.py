@@ -22,7 +22,7 @@ from planner.catalogue.robots import (
     ParallelParameters,
     SevenParameters,
 )
-from planner.cell.kinematics import flange_poses
+from planner.cell.kinematics import flange_poses, form_jacobian
 from planner.geometry.arrays import FloatArray, from_parts, from_rpy, inverse, log_rotation
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
@@ -73,6 +73,7 @@ def fit(chain: UrdfChain) -> ArmFit:
             f"allowed are {MOST_OFF / MM:g} mm and {MOST_TURNED:g} rad"
         )
         hint = "its figures have noise, as those taken from meshes do: write those of the maker's drawing"
+        hint += _first_off(chain, form)
         raise TandemError(
             Issue(
                 "robot.deviation",
@@ -85,6 +86,20 @@ def fit(chain: UrdfChain) -> ArmFit:
             )
         )
     return ArmFit(form, off, _apart(chain.tip(q, written=True), tip))
+
+
+def _first_off(chain: UrdfChain, form: ArmForm) -> str:
+    """From which joint on axes at zero are elsewhere than those of the form, by the columns of both
+    Jacobians; nothing where the tip alone is."""
+    tip, place = chain.zero[-1, :3, 3], chain.zero[1:-1, :3, 3]
+    own = np.concatenate([chain.axis, np.cross(chain.axis, tip - place)], axis=1)
+    turned, moved = np.abs(form_jacobian(form, np.zeros(form.count)).T - own).reshape(-1, 2, 3).max(2).T
+    off = np.flatnonzero((moved > MOST_OFF) | (turned > MOST_TURNED))
+    if not len(off):
+        return ""
+    first = off[0]
+    by = f"{moved[first] / MM:.3g} mm" if turned[first] <= MOST_TURNED else f"{turned[first]:.3g} rad"
+    return f"; at zero they first leave that form at joint {chain.joints[first]!r}, by {by}"
 
 
 def _form(chain: UrdfChain) -> ArmForm:

@@ -296,7 +296,7 @@ def _raw(spec: GuideFile, wanted: bool | None, folder: Path, field: str) -> tupl
         code, place, file, height = "part.rhino", f"{field}.rhino", spec.rhino.file, None
     elif spec.dxf is not None:
         unit = LENGTH_UNITS[spec.dxf.unit]
-        found, notes = read_dxf(folder / spec.dxf.file, unit, spec.dxf.layer, f"{field}.dxf")[0], []
+        found, notes = read_dxf(folder / spec.dxf.file, unit, spec.dxf.layer, f"{field}.dxf")
         asked, what = f" on layer {spec.dxf.layer or '(all)'}", "name the layer that has it alone"
         code, place, file, height = "part.dxf", f"{field}.dxf", spec.dxf.file, spec.dxf.z_mm
     else:

@@ -154,7 +154,7 @@ def _asked(spec: StepFile, path: Path, field: str) -> dict[str, Any]:
     if importlib.util.find_spec("OCP") is None:
         what = f"STEP and IGES files need Open CASCADE; {STEP_INSTALL}"
         raise refused("part.extra_missing", path, field, what)
-    asked = {"file": str(path), "face": spec.face, "name": spec.name, "colour": spec.colour}
+    asked = {"file": str(path.absolute()), "face": spec.face, "name": spec.name, "colour": spec.colour}
     try:
         done = subprocess.run(
             [sys.executable, "-m", "planner.reading.occt"],
@@ -162,6 +162,7 @@ def _asked(spec: StepFile, path: Path, field: str) -> dict[str, Any]:
             capture_output=True,
             timeout=LONGEST,
             check=False,
+            cwd=Path(__file__).parents[2],  # where modules are looked for first: not where the user is
         )
     except subprocess.TimeoutExpired as error:
         what = f"was not read after {LONGEST:g} s; export only the face that is needed"

@@ -16,17 +16,21 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, from_rpy
+from planner.geometry.mesh_files import LARGEST_EXTENT
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 
 MAX_URDF_BYTES: Final = 5_000_000
 """Larger files are refused: a URDF is a few ten kilobytes."""
+MOST_LINKS: Final = 2000
+"""Links of a file at most, and geometries of its arm: an arm has some ten of them."""
 SNAP_STEP: Final = 15.0 * DEG
 """Angles of frames are multiples of this [rad], ..."""
 SNAP: Final = 2e-4
 """... where they lie so near to one [rad]."""
 TIPS: Final = ("tool0", "flange")
 """Links that are the tip where none is named, the first one that there is."""
+_XACRO: Final = "xacro FILE.xacro -o FILE.urdf makes it; without ROS: pip install xacro"
 _MOVING: Final = ("revolute", "continuous", "prismatic", "planar", "floating")
 
 
@@ -158,11 +162,18 @@ def _root(text: str) -> ET.Element:
         root = ET.fromstring(text)
     except ET.ParseError as error:
         raise _no_urdf(f"is not XML ({error})", "write it again") from None
-    if any(str(element.tag).startswith("{") and "xacro" in str(element.tag) for element in root.iter()):
-        raise _no_urdf("is a xacro file, of which a URDF is still to be made", "xacro FILE.xacro > FILE.urdf")
+    if any(_of_xacro(element) for element in root.iter()):
+        raise _no_urdf("is a xacro file, of which a URDF is still to be made", _XACRO)
     if root.tag != "robot":
         raise _no_urdf(f"begins with <{root.tag}>; a URDF begins with <robot>", "give the URDF of a robot")
     return root
+
+
+def _of_xacro(element: ET.Element) -> bool:
+    """Whether an element is one of xacro, or an attribute has a ``${...}`` or ``$(...)`` of it."""
+    if str(element.tag).startswith("{") and "xacro" in str(element.tag):
+        return True
+    return any("${" in value or "$(" in value for value in element.attrib.values())
 
 
 def _no_urdf(what: str, hint: str) -> TandemError:
@@ -178,13 +189,24 @@ def _links(root: ET.Element) -> dict[str, ET.Element]:
                 f"has two links {name!r}" if name else "has a link without a name", "name them apart"
             )
         out[name] = link
+    if not out:
+        raise _no_urdf("has no <link>", "give the URDF of an arm")
+    if len(out) > MOST_LINKS:
+        raise _no_urdf(f"has {len(out)} links; up to {MOST_LINKS} are read", "give the URDF of one arm")
     return out
 
 
 def _joints(root: ET.Element, links: dict[str, ET.Element]) -> dict[str, ET.Element]:
     """The joint that each link hangs on."""
     above: dict[str, ET.Element] = {}
+    names: set[str] = set()
     for joint in root.findall("joint"):
+        own = joint.get("name") or ""
+        if not own or own in names:
+            raise _no_urdf(
+                f"has two joints {own!r}" if own else "has a joint without a name", "name them apart"
+            )
+        names.add(own)
         ends = [_link(joint, role) for role in ("parent", "child")]
         for name in ends:
             if name not in links:
@@ -221,8 +243,8 @@ def _tip(links: dict[str, ET.Element], above: dict[str, ET.Element], base: str, 
     carried = {_link(joint, "parent") for joint in above.values()}
     turned = {
         name: sum(joint.get("type") in _MOVING for joint in _way(above, base, name))
-        for name in links
-        if name not in carried and _hangs(above, name, base)
+        for name in _hung(above, base)
+        if name not in carried
     }
     ends = [name for name, count in turned.items() if count == max(turned.values()) > 0]
     hint = "name the flange's link as tip"
@@ -270,15 +292,18 @@ def _faults(way: list[ET.Element]) -> Iterator[Issue]:
             )
 
 
-def _hangs(above: dict[str, ET.Element], link: str, base: str) -> bool:
-    """Whether a link hangs on the base, by any joints."""
-    for _ in range(len(above) + 1):
-        if link == base:
-            return True
-        if link not in above:
-            return False
-        link = _link(above[link], "parent")
-    return False
+def _hung(above: dict[str, ET.Element], base: str) -> set[str]:
+    """The links that hang on the base, by any joints; the base itself is not one."""
+    carried: dict[str, list[str]] = {}
+    for link, joint in above.items():
+        carried.setdefault(_link(joint, "parent"), []).append(link)
+    found: set[str] = set()
+    open_ = [base]
+    while open_:
+        new = [link for link in carried.get(open_.pop(), ()) if link not in found and link != base]
+        found.update(new)
+        open_ += new
+    return found
 
 
 def _chain(
@@ -301,6 +326,7 @@ def _chain(
         kinds.append(joint.get("type") or "")
         links.append(_link(joint, "child"))
     lower, upper, velocity = np.array(limits).reshape(-1, 3).T
+    hung = _hung(above, base)
     shapes, notes = _bodies(root, above, links)
     visuals, unseen = _visuals(root, above, links)
     return UrdfChain(
@@ -319,15 +345,12 @@ def _chain(
         beside=tuple(
             joint.get("name") or ""
             for link, joint in above.items()
-            if joint not in way and joint.get("type") in _MOVING and _hangs(above, link, base)
+            if link in hung and joint not in way and joint.get("type") in _MOVING
         ),
         notes=tuple(notes),
         visuals=tuple(visuals),
         unseen=tuple(unseen),
-        behind=any(
-            joint.get("type") in _MOVING and _hangs(above, _link(joint, "parent"), tip)
-            for joint in above.values()
-        ),
+        behind=any(above[link].get("type") in _MOVING for link in _hung(above, tip)),
     )
 
 
@@ -340,6 +363,9 @@ def _bodies(
         if _bad_inertia(link):
             notes.append(f"inertia: that of the link {name} is not of a body; it is not used")
         shapes += [_shape(collision, name, carrier, pose) for collision in link.findall("collision")]
+        if len(shapes) > MOST_LINKS:
+            what = f"has more than {MOST_LINKS} <collision> geometries on one arm"
+            raise _no_urdf(what, "export its parts as fewer, or as the hull of each link")
     return shapes, notes
 
 
@@ -348,14 +374,20 @@ def _carried(
 ) -> Iterator[tuple[ET.Element, str, str, FloatArray]]:
     """Links that are the chain's or fixed to it: each with its name, the link of the chain that carries it,
     and its pose (4, 4) there."""
+    placed = {link: (link, np.eye(4)) for link in links}
     for link in root.findall("link"):
-        name, pose = link.get("name") or "", np.eye(4)
-        carrier = name
-        while carrier not in links and carrier in above and above[carrier].get("type") == "fixed":
-            pose = _origin(above[carrier], above[carrier].get("name")) @ pose
-            carrier = _link(above[carrier], "parent")
-        if carrier in links:
-            yield link, name, carrier, pose
+        name = link.get("name") or ""
+        way = [name]
+        while way[-1] not in placed and way[-1] in above and above[way[-1]].get("type") == "fixed":
+            way.append(_link(above[way[-1]], "parent"))
+            if len(way) > len(above) + 1:
+                break  # a ring of links, none of which is the arm's
+        if way[-1] not in placed:
+            continue
+        for one in way[-2::-1]:  # each is worked out once, however long the row
+            carrier, pose = placed[_link(above[one], "parent")]
+            placed[one] = carrier, pose @ _origin(above[one], above[one].get("name"))
+        yield link, name, *placed[name]
 
 
 def _visuals(
@@ -412,6 +444,8 @@ def _shape(element: ET.Element, name: str, carrier: str, pose: FloatArray) -> Ur
     if (kind != "mesh" and not min(size) > 0.0) or not all(size):
         what = f"has a {kind} of the size {size} in the link {name!r}; all have to be above 0"
         raise _no_urdf(what, "correct it")
+    if kind != "mesh":
+        _require_metres(max(size), f"a {kind}", name)
     return UrdfShape(carrier, kind, size, placed, one.get("filename") or "", name)
 
 
@@ -435,10 +469,18 @@ def _origin(element: ET.Element, name: str | None, snap: bool = True) -> FloatAr
     if origin is None:
         return np.eye(4)
     xyz, rpy = (np.array(_numbers(origin, key, 3, name, [0.0] * 3)) for key in ("xyz", "rpy"))
+    _require_metres(np.abs(xyz).max(), "an <origin>", name)
     if snap:
         near = SNAP_STEP * np.round(rpy / SNAP_STEP)
         rpy = np.where(np.abs(rpy - near) <= SNAP, near, rpy)
     return from_rpy(xyz, rpy)
+
+
+def _require_metres(length: float, what: str, name: str | None) -> None:
+    """Raises :class:`TandemError` (``robot.urdf``) for a length [m] that no arm has."""
+    if length > LARGEST_EXTENT:
+        got = f"has {what} of {length:g} m at {name!r}; allowed are {LARGEST_EXTENT:g} m"
+        raise _no_urdf(got, "a URDF has metres: correct it")
 
 
 def _axis(joint: ET.Element) -> FloatArray:

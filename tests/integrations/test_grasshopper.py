@@ -120,8 +120,9 @@ def test_a_result_comes_in_the_unit_of_the_document(canvas: Any, url: str, job: 
     planes = component.solve(**given)["planes"].branches[(0, 0)]
     assert np.abs(np.array([[*one.Origin] for one in planes]) - WANTED[:, :3] / 25.4).max() < 1e-9
     canvas.ModelUnitSystem = UnitSystem.Unset
-    with pytest.raises(ValueError, match="Unset; set one"):
-        component.solve(**given)
+    found = component.solve(**given)
+    assert (found["state"], found["planes"]) == ("verified", None)
+    assert "Unset; set one" in found["issues"][0] and component.told[0][0] == "Error"
 
 
 def test_a_part_is_a_mesh_of_the_document(canvas: Any, module: ModuleType, url: str) -> None:
@@ -198,7 +199,8 @@ def test_a_problem_file_goes_along_with_its_mesh(canvas: Any, url: str, tmp_path
     ("inputs", "words"),
     [
         ({"problem": "nowhere.yaml"}, "is no file"),
-        ({"problem": "{"}, "Expecting"),
+        ({"problem": "{"}, "problem: is no JSON"),
+        ({"problem": "{}", "files": ["a/cell.yaml", "b/cell.yaml"]}, "two are called cell.yaml"),
         ({"problem": "{}", "curves": [None]}, "two for each surface"),
         ({"problem": "{}"}, "required"),
         ({"problem": "{}", "files": ["nowhere.csv"]}, "nowhere.csv"),
@@ -238,6 +240,34 @@ def test_a_job_is_cancelled(canvas: Any, url: str, tmp_path: Path) -> None:
     assert found["state"] == "cancelled"
     result = Component("result", Document()).settle(client=given["client"], job=found["job"], folder=None)
     assert (result["state"], result["report"], result["planes"].branches) == ("cancelled", None, {})
+
+
+class Sending:
+    """A client that has not sent a job yet until ``go`` is set."""
+
+    def __init__(self) -> None:
+        self.go, self.cancelled = threading.Event(), []
+
+    def submit(self, problem: Any, files: Any) -> str:
+        self.go.wait(20.0)
+        return "a"
+
+    def cancel(self, job: str) -> None:
+        self.cancelled.append(job)
+
+    def wait(self, job: str, progress: Any) -> dict[str, Any]:
+        return {"state": "cancelled" if self.cancelled else "verified", "issues": []}
+
+
+def test_a_job_that_is_still_being_sent_is_cancelled(canvas: Any) -> None:
+    service = Sending()
+    given = {"client": service, "problem": "{}", "mesh": None, "curves": None, "files": None, "check": False}
+    component = Component("job", Document())
+    for run, cancel in ((False, False), (True, False), (False, True), (False, False)):
+        component.solve(**given, run=run, cancel=cancel)
+    service.go.set()
+    assert component.settle(**given, run=False, cancel=False)["state"] == "cancelled"
+    assert service.cancelled == ["a"]
 
 
 def test_panels_of_an_element_are_meshes_of_the_document(canvas: Any, url: str) -> None:

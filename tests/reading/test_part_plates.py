@@ -60,7 +60,7 @@ def test_faults_of_outlines_are_named(more: dict[str, Any], code: str) -> None:
 
 
 def drawing(path: Path) -> None:
-    document = ezdxf.new("R2010")
+    document = ezdxf.new("R2010", units=4)
     space = document.modelspace()
     space.add_line((0, 0), (80, 0), dxfattribs={"layer": "cut"})
     space.add_arc((80, 20), 20, 270, 90, dxfattribs={"layer": "cut"})

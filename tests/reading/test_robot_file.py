@@ -221,6 +221,28 @@ def test_a_proof_sees_a_urdf_that_was_changed_behind_the_plan(both):
     assert "c2 is" in arm_model.differences(arm_model.machine_of(wrong))[0]
 
 
+GAZEBO = '<gazebo><joint name="rod"><parent>link_1</parent><child>link_3</child></joint></gazebo>'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        TEXT.replace('"', "'"),
+        TEXT.replace('name="tool0"', 'name="flange"')
+        .replace('link="tool0"', 'link="flange"')
+        .replace("</robot>", '<!-- "tool0" --></robot>'),
+        TEXT.replace("</robot>", f"{GAZEBO}</robot>"),
+    ],
+    ids=["quotes", "flange", "gazebo"],
+)
+def test_the_proof_reads_every_file_that_the_planner_takes(tmp_path, text):
+    """The tip that is not named, in single quotes or beside a comment, and joints of a simulator."""
+    problem = loaded(tmp_path, data(tmp_path, text))
+    robot = problem.cell.arms[0].given
+    assert arm_model.stated_otherwise(problem.source["cell"]["arms"][0]["robot"], robot) == []
+    assert arm_model.differences(arm_model.machine_of(robot)) == []
+
+
 def test_the_setup_sheet_shows_what_is_assumed(both):
     _, problem, (catalogue, own) = both
     told = repr(setup_sheet.tool_table(problem.setups[0], own.plan))

@@ -153,8 +153,12 @@ def test_a_face_is_cut_along_its_own_lines_or_refused(tmp_path: Path, files: Any
         assert words in said and "make it anew between its edges" in said
 
 
-def test_faces_of_several_bodies_are_told_and_picked(files: Any) -> None:
+def test_faces_of_several_bodies_are_told_and_picked(
+    tmp_path: Path, files: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     del files
+    (tmp_path / "planner.py").write_text("raise SystemExit('the user has a file of this name')")
+    monkeypatch.chdir(tmp_path)
     many = refusal(lambda: ruled(HERE / "two_disconnected_cubes.stp"))
     assert "has 12 faces in 2 bodies, 1 is wanted" in many and "1 (plane, 'Unnamed', 'Cube'" in many
     assert "has 6 faces of colour #FFBB00" in refusal(

@@ -261,7 +261,8 @@ def test_the_base_behind_what_carries_the_arm_is_a_remedy():
     text = urdf_text.arm(np.array(axes), points, pose(1.3, 0, 0.9, SIDE))
     (issue,) = refused(text)
     assert "8 axes" in issue.message and "as base" in issue.hint
-    assert max(made(text, base="l2")[1].off) < 1e-12
+    chain, found = made(text, base="l2")
+    assert max(found.off) < 1e-12 and chain.beside == ()  # what carries the base moves nothing beside the arm
 
 
 def test_figures_with_noise_are_refused_with_the_deviation():
@@ -276,6 +277,9 @@ def test_figures_with_noise_are_refused_with_the_deviation():
     assert issue.code == "robot.deviation"
     assert 0.05 < issue.value < 2.0 and f"{issue.value:.3g} mm" in issue.message
     assert "drawing" in issue.hint
+    frames[3, 2] += 1e-4
+    (issue,) = refused(urdf_text.arm(np.array(OFFSET[0]), frames, pose(1.3, 0, 0.9, SIDE)))
+    assert issue.hint.endswith("they first leave that form at joint 'j4', by 0.05 mm")
 
 
 # ---- bad files ---------------------------------------------------------------------------------------
@@ -284,13 +288,19 @@ LIMIT = TEXT[TEXT.index("<limit") : TEXT.index("/>", TEXT.index("<limit")) + 2]
 AXIS = '<axis xyz="0.0 0.0 1.0"/>'
 START = '<robot name="own">'
 XACRO = '<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/>'
+END = "</robot>"
+LONG = urdf_text.drawn("box", (300.0, 1.0, 1.0), np.eye(4))
 SPEED = f'velocity="{float(IRB.velocity[0])!r}"'
 BAD = [
     ("robot.urdf", "is not XML", "</robot>", "</rob"),
     ("robot.urdf", "ENTITY", START, f"<!DOCTYPE robot [<!ENTITY a 'b'>]>{START}"),
     ("robot.urdf", "xacro FILE.xacro", START, XACRO),
+    ("robot.urdf", "is a xacro file", SPEED, 'velocity="${2 * speed}"'),
     ("robot.urdf", "begins with <sdf>", "robot", "sdf"),
     ("robot.urdf", "two links 'l1'", '<link name="l1">', '<link name="l1"/><link name="l1">'),
+    ("robot.urdf", "two joints 'j1'", 'joint name="j2"', 'joint name="j1"'),
+    ("robot.urdf", "a joint without a name", 'joint name="j2"', "joint"),
+    ("robot.urdf", "352 m at 'j3'", 'xyz="0.0 0.0 0.36"', 'xyz="0.0 0.0 352"'),
     ("robot.urdf", "'ghost', which is not there", '<child link="l3"/>', '<child link="ghost"/>'),
     ("robot.urdf", "on two joints", '<child link="l3"/>', '<child link="l2"/>'),
     ("robot.urdf", "names no child link", '<child link="l3"/>', ""),
@@ -315,6 +325,43 @@ def test_bad_files_are_refused_in_words_and_what_is_advised_helps(code, words, g
     assert {issue.code for issue in issues} == {code}
     assert words in str(issues[0])
     assert max(made(TEXT)[1].off) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('<robot name="none"/>', "no <link>"),
+        (TEXT.replace(END, '<link name="more"/>' * 2 + END), "two links 'more'"),
+        (TEXT.replace(END, "".join(f'<link name="k{i}"/>' for i in range(2000)) + END), "links"),
+        (
+            TEXT.replace(
+                '<link name="l2">',
+                '<link name="l2">' + urdf_text.drawn("sphere", (1.0,), np.eye(4)) * 2001,
+            ),
+            "more than 2000 <collision>",
+        ),
+        (TEXT.replace('<link name="l2">', f'<link name="l2">{LONG}'), "a box of 300 m"),
+    ],
+    ids=["none", "same", "links", "bodies", "mm"],
+)  # fmt: skip
+def test_files_that_are_of_no_arm_are_told(text, words):
+    (issue,) = refused(text)
+    assert issue.code == "robot.urdf" and words in issue.message and issue.hint
+
+
+def test_a_long_row_of_fixed_links_is_read_in_a_moment():
+    """A row of 1,900 took minutes: each link was followed to the arm anew, and its place multiplied."""
+    row = "".join(
+        f'<link name="k{i}">{urdf_text.drawn("sphere", (0.1,), np.eye(4)) if i == 1899 else ""}</link>'
+        f'<joint name="f{i}" type="fixed"><origin xyz="0 0 0.001"/>'
+        f'<parent link="{f"k{i - 1}" if i else "l2"}"/>'
+        f'<child link="k{i}"/></joint>'
+        for i in range(1900)
+    )
+    chain, _ = made(TEXT.replace("</robot>", f"{row}</robot>"))
+    (shape,) = chain.shapes
+    assert shape.link == "l2" and shape.owner == "k1899"
+    np.testing.assert_allclose(shape.pose[:3, 3], [0.0, 0.0, 1.9], atol=1e-9)
 
 
 def test_all_joints_without_limits_are_told_at_once():

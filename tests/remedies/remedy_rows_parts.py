@@ -49,9 +49,10 @@ def wave(rows: list[str]) -> list[str]:
     return [f"{x:.6f} {-y if 0.4 < x < 0.7 else y:.6f}" for x, y in pairs]
 
 
-def drawing(*open_by: float, closed: bool = True) -> str:
+def drawing(*open_by: float, closed: bool = True, unit: int = 4) -> str:
     """A DXF file of a square on layer cut, a gap of that many mm left open, and a text."""
     document = ezdxf.new("R2010")
+    document.units = unit
     space = document.modelspace()
     gap = open_by[0] if open_by else 0.0
     for a, b in (((0, 0), (80, 0)), ((80, 0), (80, 80)), ((80, 80), (0, 80)), ((0, 80), (0, gap))):
@@ -145,6 +146,8 @@ ROWS: Final = [
         {"part.plate.dxf.layer": Word("its layers are (\\w+)")}, {"plate.dxf": drawing()}),
     Row("part.dxf_left_out", load, block(PLATE_DXF), "left out TEXT", {"@plate.dxf": drawing()},
         {"plate.dxf": drawing(closed=False)}),
+    Row("part.dxf_unit", load, block(PLATE_DXF), "write unit: cm, or save it with its own unit",
+        {"@plate.dxf": drawing()}, {"plate.dxf": drawing(unit=5)}),
     Row("part.rhino", load, block(change(PLATE_RHINO, "plate.rhino.layer", "nothing")), "its layers are cut",
         {"part.plate.rhino.layer": Word("its layers are (\\w+)")}, {"plate.3dm": model()}),
     Row("part.rhino_left_out", load, block(PLATE_RHINO), "show what is hidden", {"@plate.3dm": model()},

@@ -510,6 +510,90 @@ def test_a_token_is_sent_as_it_was_made(odd: tuple[type[Odd], str]) -> None:
         assert (issue.code, issue.field) == ("service.token", "token")
 
 
+class Gateway(Odd):
+    """A proxy before a service that is started anew: the first answers on each path are ``first``, a status,
+    or 0 for a connection that breaks off."""
+
+    health = b'{"status": "ok", "version": "9.0", "api": 16, "api_oldest": 1}'
+    first: dict[str, list[int]]
+    ended = False
+
+    def do_GET(self) -> None:
+        path = self.path.partition("?")[0]
+        left = self.first.get(path) or [200]
+        status = left.pop(0)
+        body = f'{{"id": "a", "state": "{"verified" if self.ended else "running"}"}}'.encode()
+        if path.endswith("/events"):
+            type(self).ended = status == 200
+            body = b'id: 1\nevent: progress\ndata: {"stage": "plan", "fraction": 0.5}\n\n'
+            body += b"id: 2\nevent: end\ndata: {}\n\n"
+        if status == 503:
+            body = b'{"issues": [{"code": "service.database", "message": "away"}]}'
+        self.answers = status, {}, body if status in (200, 503) else b"<html>"
+        if status:
+            super().do_GET()
+
+    do_POST = do_GET  # noqa: N815
+
+
+@pytest.fixture
+def gateway(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[type[Gateway], str]]:
+    monkeypatch.setattr(tandem_client, "RETRY_S", 0.01)
+    monkeypatch.setattr(tandem_client, "PAUSES_S", (0.01, 0.01, 0.01))
+    kind = type("Some", (Gateway,), {"asked": [], "first": {}})
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield kind, f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.mark.parametrize("path", ["/v1/jobs/a/events", "/v1/jobs/a"])
+def test_who_waits_goes_on_behind_a_proxy_while_the_service_is_away(
+    gateway: tuple[type[Gateway], str], path: str
+) -> None:
+    kind, url = gateway
+    kind.first = {path: [502, 503, 504, 0]}
+    heard: list[float] = []
+    done = tandem_client.Client(url).wait("a", lambda stage, fraction: heard.append(fraction), timeout_s=20.0)
+    assert (done["state"], heard) == ("verified", [0.5])
+    kind.first = {"/v1/jobs/a": [503] * 1000}
+    (issue,) = refusal(lambda: tandem_client.Client(url).wait("a", timeout_s=0.3))
+    assert issue.code == "service.timeout"
+    (issue,) = refusal(lambda: tandem_client.Client(url).job("a"))
+    assert issue.code == "service.database"
+
+
+def test_what_makes_jobs_is_sent_again_behind_a_proxy(gateway: tuple[type[Gateway], str]) -> None:
+    kind, url = gateway
+    kind.first = {"/v1/jobs": [502, 503]}
+    assert tandem_client.Client(url).submit(b"tandem: 1") == "a"
+    kind.first = {"/v1/jobs": [502] * 9}
+    (issue,) = refusal(lambda: tandem_client.Client(url).submit(b"tandem: 1"))
+    assert issue.code == "service.answer" and len(kind.first["/v1/jobs"]) == 5
+
+
+def test_proxies_are_named_and_passed_by_for_this_machine(
+    gateway: tuple[type[Gateway], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("http_proxy", "http://ann:secret@127.0.0.1:9/")
+    monkeypatch.delenv("no_proxy", raising=False)
+    assert tandem_client.Client(gateway[1]).service()["version"] == "9.0"
+    (issue,) = refusal(lambda: tandem_client.Client("http://plans.example.org").service())
+    assert "through the proxy 127.0.0.1:9 " in issue.message and "no_proxy" in issue.message
+    assert "secret" not in issue.message
+    monkeypatch.setenv("no_proxy", "plans.example.org")
+    assert (
+        "proxy" not in refusal(lambda: tandem_client.Client("http://plans.example.org/").service())[0].message
+    )
+
+
+@pytest.mark.parametrize("url", ["http://[::1", "ftp://127.0.0.1", "127.0.0.1:8000", ""])
+def test_what_is_no_address_is_told(url: str) -> None:
+    (issue,) = refusal(lambda: tandem_client.Client(url))
+    assert (issue.code, issue.field) == ("service.answer", "url")
+
+
 def test_time_that_runs_out_is_told(odd: tuple[type[Odd], str]) -> None:
     kind, url = odd
     kind.pause_s = 2.0

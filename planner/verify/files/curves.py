@@ -92,14 +92,20 @@ class Drawn:
 
 
 def read_curves(path: Path, unit: float, layer: str | None) -> list[Drawn]:
-    """The curves of the model space, of one layer or all. Raises `UnreadError`."""
+    """The curves of the model space that are visible, of one layer or all. Raises `UnreadError`."""
     try:
         from ezdxf.filemanagement import readfile
     except ImportError as error:
         raise UnreadError("DXF files need ezdxf: pip install 'tandem-planner[cad]'") from error
     pieces = []
     try:
-        for entity in readfile(path).modelspace():
+        drawing = readfile(path)
+        dark = {
+            str(one.dxf.name).lower() for one in drawing.layers if one.dxf.color < 0 or one.dxf.flags & 1
+        }  # off, or frozen
+        for entity in drawing.modelspace():
+            if entity.dxf.get("invisible", 0) or str(entity.dxf.layer).lower() in dark:
+                continue
             if layer is None or str(entity.dxf.layer).lower() == layer.lower():
                 points = _points(entity, unit)
                 if points is not None and len(points) > 1:
@@ -209,11 +215,12 @@ def chained(pieces: list[FloatArray]) -> list[Drawn]:
     drawn, and begins with that where it is closed."""
     out: list[Drawn] = []
     left = list(range(len(pieces)))
+    all_ends = np.array([piece[[0, -1]] for piece in pieces]).reshape(-1, 2, 3)
+    all_open = np.array([not _shut(piece) for piece in pieces], dtype=bool)
     while left:
         chain, count, before = pieces[left.pop(0)], 1, 0
         while left and not _shut(chain):
-            ends = np.array([pieces[i][[0, -1]] for i in left])
-            open_ = np.array([not _shut(pieces[i]) for i in left])
+            ends, open_ = all_ends[left], all_open[left]
             gap = np.linalg.norm(ends[:, :, None] - chain[[0, -1]][None, None], axis=3)
             gap[~open_] = np.inf
             which, end, own = np.unravel_index(int(np.argmin(gap)), gap.shape)

@@ -14,6 +14,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -52,7 +53,9 @@ def _asked(said: Said, want: str) -> dict[str, Any]:
     path = file_of(said)
     path.stat()
     keys = ("face", "name", "colour", "rulings", "flip")
-    asked = {"file": str(path), "want": want, "size": _metres(said)} | {key: said.get(key) for key in keys}
+    asked = {"file": str(path.absolute()), "want": want, "size": _metres(said)} | {
+        key: said.get(key) for key in keys
+    }
     try:
         done = subprocess.run(
             [sys.executable, "-m", "planner.verify.files.step"],
@@ -60,6 +63,7 @@ def _asked(said: Said, want: str) -> dict[str, Any]:
             capture_output=True,
             timeout=_LONGEST,
             check=False,
+            cwd=Path(__file__).parents[3],  # where modules are looked for first: not where the user is
         )
     except subprocess.TimeoutExpired as error:
         raise UnreadError(f"it takes more than {_LONGEST:g} s") from error

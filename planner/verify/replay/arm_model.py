@@ -116,9 +116,7 @@ def read_chain(text: str, base: str = BASE_LINK, tip: str = TIP_LINK, own: bool 
     if root.tag != "robot":
         raise ValueError(f"begins with <{root.tag}>; a URDF begins with <robot>")
     above: dict[str, ET.Element] = {}
-    for joint in root.iter("joint"):
-        if joint.find("child") is None:
-            continue  # what transmissions and the like name
+    for joint in root.findall("joint"):  # those within others are of simulators and the like
         child = _link(joint, "child")
         if child in above:
             raise ValueError(f"hangs link {child} on two joints; one is allowed")
@@ -519,11 +517,20 @@ def stated_otherwise(stated: Mapping[str, Any], data: RobotData) -> list[str]:
         return [f"its URDF cannot be read ({error})"]
     if text != file.text:
         out.append("its URDF is not the one that programs were planned with")
-    for key, own, usual in (("base", file.base, BASE_LINK), ("tip", file.tip, "")):
+    usual_tip = next((name for name in (TIP_LINK, "flange") if name in _link_names(file.text)), "")
+    for key, own, usual in (("base", file.base, BASE_LINK), ("tip", file.tip, usual_tip)):
         wanted = stated.get(key) or usual
-        if own != (wanted or next((t for t in (TIP_LINK, "flange") if f'"{t}"' in text), "")):
+        if own != wanted:
             out.append(f"its {key} is the link {wanted!r} in the problem, {own!r} in what was planned with")
     return out
+
+
+def _link_names(text: str) -> set[str]:
+    """The names of the links in the text of a URDF file; none where it is not XML."""
+    try:
+        return {link.get("name", "") for link in ET.fromstring(text).findall("link")}
+    except ET.ParseError:
+        return set()
 
 
 def differences(machine: Machine) -> list[str]:

@@ -1,0 +1,92 @@
+"""DXF drawings: what is hidden is left out, their own unit is held against the problem's, and pieces are
+joined."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner.issues import Severity, TandemError
+from planner.reading.drawing import joined, read_dxf
+from planner.verify.files import curves as proof
+
+ezdxf = pytest.importorskip("ezdxf")
+
+
+def drawing(path: Path, units: int = 4, **radius: float) -> Path:
+    """Circles about the origin, one on each layer."""
+    document = ezdxf.new(units=units)
+    for name, size in radius.items():
+        layer = document.layers.add(name)
+        if name.startswith("off"):
+            layer.off()
+        if name.startswith("frozen"):
+            layer.freeze()
+        more = {"invisible": 1} if name.startswith("unseen") else {}
+        document.modelspace().add_circle((0, 0), size, dxfattribs={"layer": name, **more})
+    document.saveas(path)
+    return path
+
+
+def sizes(found: Any) -> list[float]:
+    return [round(float(np.linalg.norm(curve.points[0])), 9) for curve in found]
+
+
+def test_what_is_hidden_is_left_out_by_planner_and_proof(tmp_path: Path) -> None:
+    path = drawing(tmp_path / "a.dxf", cut=10, off=20, frozen=30, unseen=40)
+    found, (note,) = read_dxf(path, 1e-3, None, "part")
+    assert (note.code, note.severity) == ("part.dxf_left_out", Severity.NOTE)
+    assert "left out 3 hidden" in note.message
+    assert sizes(found) == sizes(proof.read_curves(path, 1e-3, None)) == [0.01]
+    with pytest.raises(TandemError, match=r"no curves on layer OFF, but 1 hidden; show what is invisible"):
+        read_dxf(path, 1e-3, "OFF", "part")
+    assert proof.read_curves(path, 1e-3, "off") == []
+
+
+@pytest.mark.parametrize(("units", "told"), [(1, "in"), (6, "m"), (4, None), (0, None)])
+def test_another_unit_than_the_drawings_is_told(tmp_path: Path, units: int, told: str | None) -> None:
+    _, notes = read_dxf(drawing(tmp_path / "a.dxf", units, cut=10), 1e-3, None, "part.plate.dxf")
+    assert [(note.code, note.severity, note.field) for note in notes] == (
+        [("part.dxf_unit", Severity.WARNING, "part.plate.dxf")] if told else []
+    )
+    assert all(
+        f"lengths are in {told} " in note.message and "reads them in mm" in note.message for note in notes
+    )
+
+
+def test_a_drawing_of_a_town_is_refused_before_its_points_are_made(tmp_path: Path) -> None:
+    """A circle of 10,000 km in metres took 1.8 GB."""
+    with pytest.raises(TandemError, match=r"is 2e\+07 m across, up to 100 m are read; see the unit"):
+        read_dxf(drawing(tmp_path / "a.dxf", 6, cut=1e7), 1.0, None, "part")
+
+
+def naive(pieces: list[np.ndarray]) -> list[tuple[bool, int]]:
+    """How many points the chains have, piece by piece."""
+    left, out = list(pieces), []
+    shut = lambda p: len(p) > 3 and np.linalg.norm(p[0] - p[-1]) <= 1e-5  # noqa: E731
+    while left:
+        chain, grown = left.pop(0), True
+        while grown and not shut(chain):
+            grown = False
+            for i, other in enumerate(left):
+                ways = [(a, b) for a in (chain, chain[::-1]) for b in (other, other[::-1])]
+                near = [(a, b) for a, b in ways if np.linalg.norm(a[-1] - b[0]) <= 1e-5]
+                if near and not shut(other):
+                    chain, grown = np.concatenate([near[0][0], near[0][1][1:]]), True
+                    left.pop(i)
+                    break
+        out.append((bool(shut(chain)), len(chain) - int(shut(chain))))
+    return out
+
+
+def test_pieces_are_joined_as_one_by_one() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        nodes = rng.integers(0, 4, (12, 2, 3)) * 0.01
+        pieces = [np.linspace(a, b, 3) for a, b in nodes if (a != b).any()]
+        assert [(curve.closed, len(curve.points)) for curve in joined(pieces)] == naive(pieces)
+    lines = [np.array([[2.0 * i, 0, 0], [2.0 * i + 1.0, 0, 0]]) for i in range(300)]
+    assert len(joined(lines)) == len(proof.chained(lines)) == 300
