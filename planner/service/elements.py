@@ -1,5 +1,5 @@
-"""Building elements of the service: uploaded, divided by the queue's workers, their panels planned as jobs
-like any others, and what became of them.
+"""Building elements of the service: uploaded, divided by the queue's workers, their panels and the jobs of
+their raw blocks planned as jobs like any others, and what became of them.
 
 An element is the job that divides it; its files are what ``tandem element`` writes, and ``progress.csv``
 where panels are marked. The store has which jobs are those of its panels.
@@ -23,6 +23,7 @@ from sqlalchemy import Connection, RowMapping, func, select
 from planner.batch.job import ELEMENT, PLANNED, PROBLEM, Done
 from planner.batch.neighbours import like_within
 from planner.element import progress
+from planner.element.nested_output import PROBLEMS
 from planner.issues import Issue, Severity, TandemError
 from planner.service import audit, idempotency
 from planner.service.finding import Wanted
@@ -45,6 +46,7 @@ from planner.service.models import (
     MARKS,
     OPEN,
     RELEASES,
+    BlockJobOut,
     ElementOut,
     ElementPanels,
     ElementReleases,
@@ -68,6 +70,10 @@ OF_PLANS: Final = ("plan.json", "plan.npz", "simulated_part.obj")
 """What a report reads of a panel's result."""
 AGAIN: Final = ("cancelled", "crashed")
 """Panels whose jobs ended so are planned with those that were not planned yet."""
+_ALONE: Final = {"digest", "cycle_s", "thumbnail"}
+"""What a panel does not have of the job that cuts it together with others."""
+_PARTS: Final = tuple(f"{folder}/" for folder in ("problem", *PROBLEMS))
+"""Files of a division that problems are read from."""
 KEPT: Final = 8
 """So many elements' data are remembered."""
 
@@ -77,7 +83,7 @@ _OUT: Final = set(ElementOut.model_fields)
 
 
 class _Panel(NamedTuple):
-    """The last job of a panel."""
+    """The last job of a panel, or of a job of a raw block."""
 
     job: str
     like: str | None
@@ -180,7 +186,8 @@ class Elements:
         if DATA not in files:
             return ElementPanels(**head)
         found, told = self._progress(files)
-        panels = [_panel(row, planned.get(str(row["id"])), found) for row in found.data["panels"]]
+        jobs = [_block_job(job, planned, found) for job in progress.block_jobs(found.data).values()]
+        panels = [_panel(row, planned, found) for row in found.data["panels"]]
         blocks = {
             one["id"]: block["id"]
             for block in (found.data.get("blocks") or {}).get("blocks", ())
@@ -188,11 +195,12 @@ class Elements:
         }
         panels = [one.model_copy(update={"block": blocks.get(one.id, "")}) for one in panels]
         minutes: Counter[str] = Counter()
-        for one in panels:
+        for one in (*panels, *jobs):
             minutes.update(one.cut_min)
         return ElementPanels(
             **head,
             panels=panels,
+            block_jobs=jobs,
             counts=dict(Counter([*(one.state for one in panels), *(one.mark for one in panels if one.mark)])),
             cut_h={arm: round(total / 60.0, 3) for arm, total in minutes.items()},
             told=told,
@@ -207,26 +215,28 @@ class Elements:
         reading: Reading,
         once: Once | None = None,
     ) -> Pieces[list[JobOut]]:
-        """Plan panels as jobs, those that are chosen or all that are not planned yet, each like one beside
-        it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
+        """Plan panels and jobs of raw blocks, those that are chosen or all that are not planned yet, each panel
+        like one beside it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
         yield
         name, files = self._divided(element)
         data = self._data(files[DATA].sha)
         with self._database.read() as db:
             before = _panels(db, element)
-        known = [str(row["id"]) for row in data["panels"]]
+        panels = [str(row["id"]) for row in data["panels"]]
+        known = {str(row["id"]): "cut_in" not in row for row in data["panels"]}
+        known |= dict.fromkeys(progress.block_jobs(data), True)
         wanted = _wanted(known, before, chosen)
         if not wanted:
             return []
-        parts = {f: b for f, b in files.items() if f.startswith(("problem/", "panels/"))}
+        parts = {f: b for f, b in files.items() if f.startswith(_PARTS)}
         read = yield from self._service.examine_panels(parts, wanted, reading)
         with self._database.read() as db:  # others had their turns meanwhile
             before = _panels(db, element)
         wanted = [one for one in _wanted(known, before, chosen) if one in read]
         read = {one: read[one] for one in wanted}
         stored = self._service.stored(owner, read, parts, PROBLEM)
-        done = before.keys() - read.keys()
-        after = like_within(data, [one for one in known if one in done or one in read], done)
+        done = set(panels) & before.keys() - read.keys()
+        after = like_within(data, [one for one in panels if one in done or one in read], done)
         made: dict[str, NewJob] = {}
         keys = {one: panel.row["key"] for one, panel in before.items()}
         for one in _in_turn(wanted, after):
@@ -242,15 +252,18 @@ class Elements:
     def release(
         self, element: str, shown: Mapping[str, Shown], who: Who, name: str | None, note: str
     ) -> ElementReleases:
-        """Release the programs of panels by one act, each as it was ``shown``: those that are proven, not
-        released, and still what was shown; the others are refused by name. Raises :class:`RefusedError`: 404,
-        409 where none can be released, 422."""
-        self._divided(element)
+        """Release the programs of panels and of jobs of raw blocks by one act, each as it was ``shown``: those
+        that are proven, not released, and still what was shown; the others are refused by name. Raises
+        :class:`RefusedError`: 404, 409 where none can be released, 422."""
+        _, files = self._divided(element)
         with self._database.read() as db:
             strange = sorted(shown.keys() - _panels(db, element).keys())
         if strange:
-            what = f"panels: got {_some(strange)}, of which no panel has a job here"
-            raise RefusedError(422, Issue("service.request", f"{what}; see its list", field="panels"))
+            what = f"panels: got {_some(strange)}, of which none has a job of its own here; see its list"
+            rows = {str(one["id"]): one.get("cut_in") for one in self._data(files[DATA].sha)["panels"]}
+            own = [f"{one} in {row['job']}" for one in strange if (row := rows.get(one)) is not None]
+            hint = f"cut together with others: {', '.join(own[:5])}; release that" if own else None
+            raise RefusedError(422, Issue("service.request", what, field="panels", hint=hint))
 
         def last(db: Connection) -> dict[str, str]:
             return {panel: one.job for panel, one in _panels(db, element).items()}
@@ -395,29 +408,57 @@ def _report(db: Connection, element: str) -> JobOut | None:
     return None if found is None else job_out(job_row(db, found, deleted_too=True))
 
 
-def _panel(row: Mapping[str, Any], planned: _Panel | None, found: progress.Progress) -> PanelOut:
+def _planned(planned: _Panel | None) -> dict[str, Any]:
+    """What is told of a problem's last job."""
+    if planned is None:
+        return {}
+    job = planned.row
+    issues = [Issue.from_dict(one) for one in json.loads(job["issues"])]
+    wrong = [one for one in issues if one.severity is Severity.ERROR]
+    known: dict[str, Any] = {"job": planned.job, "state": job["state"], "stage": job["stage"]}
+    known["digest"] = job["digest"]
+    if job["state"] == "verified":
+        held = "released" if job["withdrawn"] is None else "withdrawn"
+        known["release"] = "not-released" if job["number"] is None else held
+    known["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
+    known["thumbnail"] = bool(job["thumbnail"])
+    known["issue"] = wrong[0] if wrong and job["state"] != "verified" else None
+    return known
+
+
+def _panel(row: Mapping[str, Any], planned: Mapping[str, _Panel], found: progress.Progress) -> PanelOut:
     name = str(row["id"])
-    known: dict[str, Any] = {}
-    if planned is not None:
-        job = planned.row
-        issues = [Issue.from_dict(one) for one in json.loads(job["issues"])]
-        wrong = [one for one in issues if one.severity is Severity.ERROR]
-        known = {"job": planned.job, "state": job["state"], "stage": job["stage"]}
-        known["digest"] = job["digest"]
-        if job["state"] == "verified":
-            held = "released" if job["withdrawn"] is None else "withdrawn"
-            known["release"] = "not-released" if job["number"] is None else held
-        known["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
-        known["thumbnail"] = bool(job["thumbnail"])
-        known["issue"] = wrong[0] if wrong and job["state"] != "verified" else None
+    cut_in = str(row["cut_in"]["job"]) if "cut_in" in row and name not in planned else None
+    known = _planned(planned.get(cut_in or name))
+    if cut_in is not None:
+        known = {key: value for key, value in known.items() if key not in _ALONE}
     return PanelOut(
         id=name,
         order=int(row["order"]) if "order" in row else None,
         block_mm=[float(row[f"block_{axis}_mm"]) for axis in "xyz"],
-        cut_min={str(arm): float(value) for arm, value in row.get("cut_min", {}).items()},
+        cut_min=_minutes(row),
+        cut_in=cut_in,
         mark=found.state(name),
         **known,
     )
+
+
+def _block_job(
+    job: Mapping[str, Any], planned: Mapping[str, _Panel], found: progress.Progress
+) -> BlockJobOut:
+    return BlockJobOut(
+        id=str(job["id"]),
+        block=str(job["block"]),
+        said=str(job["said"]),
+        panels=list(job.get("panels", ())),
+        cut_min=_minutes(job),
+        mark=found.job_state(job),
+        **_planned(planned.get(str(job["id"]))),
+    )
+
+
+def _minutes(row: Mapping[str, Any]) -> dict[str, float]:
+    return {str(arm): float(value) for arm, value in row.get("cut_min", {}).items()}
 
 
 def _done(panel: str, row: RowMapping) -> Done:
@@ -426,15 +467,23 @@ def _done(panel: str, row: RowMapping) -> Done:
     return Done(panel, row["state"], issues, json.loads(row["metrics"]), row["seconds"] or 0.0)
 
 
-def _wanted(known: Sequence[str], before: Mapping[str, _Panel], chosen: Sequence[str] | None) -> list[str]:
-    """Panels to be planned, in the element's order, none twice at once; raises :class:`RefusedError`, 422,
-    for ids that it does not have."""
+def _wanted(
+    known: Mapping[str, bool], before: Mapping[str, _Panel], chosen: Sequence[str] | None
+) -> list[str]:
+    """Panels and jobs of raw blocks to be planned, in the order of those that are ``known``, none twice at
+    once; where none is chosen, those that are not cut by another one's job. Raises :class:`RefusedError`,
+    422, for ids that the element does not have."""
     if chosen is None:
-        return [one for one in known if one not in before or before[one].row["state"] in AGAIN]
-    strange = sorted(set(chosen) - set(known))
+        return [
+            one
+            for one, own in known.items()
+            if own and (one not in before or before[one].row["state"] in AGAIN)
+        ]
+    strange = sorted(set(chosen) - known.keys())
     if strange:
-        what = f"panels: got {_some(strange)}, the element has {len(known)} panels "
-        what += f"from {known[0]} to {known[-1]}; see its list"
+        names = list(known)
+        what = f"panels: got {_some(strange)}, the element has {len(names)} panels and jobs of raw blocks "
+        what += f"from {names[0]} to {names[-1]}; see its list"
         raise RefusedError(422, Issue("service.request", what, field="panels"))
     waiting = {one for one, panel in before.items() if panel.row["state"] in OPEN}
     return [one for one in known if one in set(chosen) - waiting]
