@@ -476,8 +476,8 @@ class Client:
         return str(self._make("/v1/elements", body, kind, key)["id"])
 
     def element(self, element: str) -> dict[str, Any]:
-        """An element with its ``panels``: order, block, job and state of each, and its ``block_jobs``, which cut
-        raw blocks apart, or several ``panels`` out of one together."""
+        """An element with its ``panels``: order, block, job and state of each, and its ``block_jobs``, which
+        cut raw blocks apart, or several ``panels`` out of one together."""
         self._want(DESK_API, "elements")
         return self._json(_of(element, kind="elements"))
 
@@ -528,8 +528,8 @@ class Client:
     def release_panels(
         self, element: str, panels: Sequence[Mapping[str, Any]], note: str = "", name: str | None = None
     ) -> dict[str, Any]:
-        """Release the programs of panels and of jobs of raw blocks by one act: rows of :meth:`element`, each by
-        its ``job`` and ``digest`` as it was looked at; panels that are ``cut_in`` the job of a raw block are
+        """Release the programs of panels and of jobs of raw blocks by one act: rows of :meth:`element`, each
+        by its ``job`` and ``digest`` as it was looked at; panels that are ``cut_in`` the job of a raw block are
         released with that. The ``releases``, and what is ``refused``: a ``panel`` that is not
         proven, was planned again meanwhile, or is released already, with its ``issues``. ``name`` as of
         :meth:`release`. Raises ``TandemError``: ``service.release`` where that is all of them."""
@@ -544,8 +544,8 @@ class Client:
 
     def mark_panel(self, element: str, panel: str, state: str) -> dict[str, Any]:
         """Mark a panel as cut, glued or broken, or open, which takes its mark away: the element, whose
-        ``told`` says what is next. The id of a job of a raw block stands for all panels that it cuts, or where
-        it cuts the block apart, for itself: cut or open."""
+        ``told`` says what is next. The id of a job of a raw block stands for all panels that it cuts, or
+        where it cuts the block apart, for itself: cut or open."""
         self._want(DESK_API, "elements")
         return self._send(_of(element, "/mark", "elements"), {"panel": panel, "state": state}, "POST")
 

@@ -89,8 +89,8 @@ def read(out: Path) -> Progress:
 
 
 def block_jobs(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """The jobs of raw blocks of an element's data by their ids, each with its ``block``, in the order in which
-    a block is cut."""
+    """The jobs of raw blocks of an element's data by their ids, each with its ``block``, in the order in
+    which a block is cut."""
     return {
         str(job["id"]): {**job, "block": str(block["id"])}
         for block in (data.get("blocks") or {}).get("blocks", ())

@@ -215,8 +215,8 @@ class Elements:
         reading: Reading,
         once: Once | None = None,
     ) -> Pieces[list[JobOut]]:
-        """Plan panels and jobs of raw blocks, those that are chosen or all that are not planned yet, each panel
-        like one beside it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
+        """Plan panels and jobs of raw blocks, those that are chosen or all that are not planned yet, each
+        panel like one beside it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
         yield
         name, files = self._divided(element)
         data = self._data(files[DATA].sha)
@@ -252,8 +252,8 @@ class Elements:
     def release(
         self, element: str, shown: Mapping[str, Shown], who: Who, name: str | None, note: str
     ) -> ElementReleases:
-        """Release the programs of panels and of jobs of raw blocks by one act, each as it was ``shown``: those
-        that are proven, not released, and still what was shown; the others are refused by name. Raises
+        """Release the programs of panels and of jobs of raw blocks by one act, each as it was ``shown``:
+        those that are proven, not released, and still what was shown; the others are refused by name. Raises
         :class:`RefusedError`: 404, 409 where none can be released, 422."""
         _, files = self._divided(element)
         with self._database.read() as db:
