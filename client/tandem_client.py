@@ -529,8 +529,8 @@ class Client:
         self, element: str, panels: Sequence[Mapping[str, Any]], note: str = "", name: str | None = None
     ) -> dict[str, Any]:
         """Release the programs of panels and of jobs of raw blocks by one act: rows of :meth:`element`, each
-        by its ``job`` and ``digest`` as it was looked at; panels that are ``cut_in`` the job of a raw block are
-        released with that. The ``releases``, and what is ``refused``: a ``panel`` that is not
+        by its ``job`` and ``digest`` as it was looked at; panels that are ``cut_in`` the job of a raw block
+        are released with that. The ``releases``, and what is ``refused``: a ``panel`` that is not
         proven, was planned again meanwhile, or is released already, with its ``issues``. ``name`` as of
         :meth:`release`. Raises ``TandemError``: ``service.release`` where that is all of them."""
         self._want(BATCHES_API, "releases of panels")

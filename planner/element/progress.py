@@ -210,7 +210,7 @@ def _job_next(found: Progress, block: Mapping[str, Any], rest: Sequence[str]) ->
     row = next((job for job in block.get("jobs", ()) if rest[0] in job.get("panels", ())), None)
     left, done = _apart(found, block)
     whole = len(rest) == len(block["panels"])  # else who marks panels alone has cut it apart
-    said = f"; before that its jobs {', '.join(left)} cut it apart" if left and (done or whole) else ""
+    said = f"; before that, what cuts it apart: {', '.join(left)}" if left and (done or whole) else ""
     if row is None:
         return [rest[0]], said
     return [one for one in rest if one in row["panels"]], f", by job {row['id']}{said}"

@@ -191,8 +191,9 @@ def test_jobs_of_raw_blocks_are_marked_with_the_panels_that_they_cut(tmp_path: P
     data = {"name": "e", "panels": panels, "blocks": nest}
     (tmp_path / "element.json").write_text(json.dumps(data))
     (tmp_path / "stock.csv").write_text("id,length_mm,width_mm,thickness_mm,foam\n")
-    said = "next to be cut: P0, P1, P2 together, then P3 of block B1 (a raw block of 60 x 30 x 9 mm), by job B1-2"
-    assert f"{said}; before that its jobs B1 cut it apart" in lines(tmp_path)
+    said = "next to be cut: P0, P1, P2 together, then P3 of block B1 (a raw block of 60 x 30 x 9 mm)"
+    said += ", by job B1-2"
+    assert f"{said}; before that, what cuts it apart: B1" in lines(tmp_path)
 
     def marks() -> dict[str, str]:
         return {row["id"]: row["state"] for row in rows_of(tmp_path)}

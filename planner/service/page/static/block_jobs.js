@@ -1,6 +1,6 @@
 // The jobs of raw blocks: those that cut them apart, and those that cut several panels out of a part together.
 import { $, h, icon, show } from "./dom.js";
-import { workOf } from "./planned.js";
+import { redrawn, workOf } from "./planned.js";
 import { number } from "./words.js";
 
 const SHOWN = 20;
@@ -31,7 +31,5 @@ export function drawBlockJobs(jobs, actions) {
     count += SHOWN;
     drawBlockJobs(jobs, actions);
   };
-  const focus = document.activeElement?.dataset?.key;
-  $("block-jobs").replaceChildren(...jobs.slice(0, count).map((job) => row(job, actions)));
-  if (focus) $("block-jobs").querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus({ preventScroll: true });
+  redrawn($("block-jobs"), jobs.slice(0, count).map((job) => row(job, actions)));
 }

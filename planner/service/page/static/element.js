@@ -9,7 +9,7 @@ import { atFields, goTo, issueItem, placeOf, sorted } from "./issues.js";
 import { badge } from "./outcome.js";
 import { pictureOf } from "./thumbnail.js";
 import { COLOURS, PanelView } from "./panel_view.js";
-import { problemsOf, stateOf, stateWords, workOf } from "./planned.js";
+import { problemsOf, redrawn, stateOf, stateWords, workOf } from "./planned.js";
 import { drawReleasePanels, setUpReleasePanels } from "./release_panels.js";
 import { Sliders } from "./sliders.js";
 import { ago, bytes, duration, isOpen, number, plural } from "./words.js";
@@ -194,6 +194,7 @@ function wanted(panels) {
 function drawList() {
   const panels = element.panels ?? [];
   show($("panels-card"), panels.length > 0);
+  show($("told-card"), panels.length > 0);
   const some = wanted(panels);
   const key = JSON.stringify([some.slice(0, count), chosen, group, panels.length, element.counts, element.told]);
   if (key === shownList) return;
@@ -203,9 +204,7 @@ function drawList() {
   show($("no-panels"), !some.length);
   show($("more"), some.length > count);
   $("more").textContent = `Show more panels (${some.length - count} are left)`;
-  const focus = document.activeElement?.dataset?.key;
-  $("panels").replaceChildren(...some.slice(0, count).map(row));
-  if (focus) $("panels").querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus({ preventScroll: true });
+  redrawn($("panels"), some.slice(0, count).map(row));
 }
 
 function row(panel) {

@@ -10,6 +10,14 @@ export const stateWords = (one) => ({ open: one.state === "running" ? `planning$
 // Each problem of an element once: a panel that is cut together with others has that of their job.
 export const problemsOf = (element) => [...(element.panels ?? []).filter((panel) => !panel.cut_in), ...(element.block_jobs ?? [])];
 
+// Puts rows into a list; the focus stays at its control, or where that went with a job's beginning, at the job.
+export function redrawn(list, rows) {
+  const key = document.activeElement?.dataset?.key;
+  list.replaceChildren(...rows);
+  const found = (name) => list.querySelector(`[data-key="${CSS.escape(name)}"]`);
+  if (key) (found(key) ?? found(key.replace(/^plan-/, "job-")))?.focus({ preventScroll: true });
+}
+
 // State, links and buttons; plan(ids) is asked for. A panel that is cut in a job with others has a job of its own when it broke.
 export function workOf(one, plan) {
   const [state, own] = [stateOf(one), one.id];
