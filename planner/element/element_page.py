@@ -170,7 +170,7 @@ def _told(run: ElementRun) -> tuple[Block, ...]:
         )
         for one in found
     ]
-    return (table(("", "what", "code"), rows),)
+    return (table(("kind", "what", "code"), rows),)
 
 
 def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:

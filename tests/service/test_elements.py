@@ -24,7 +24,7 @@ from planner.service.jobs import put_files
 from planner.service.models import JOBS
 from planner.service.security import Auth, Limits
 from tests.element.shells import cap, shell
-from tests.element.test_saw_jobs import SAW
+from tests.element.test_saw_jobs import SAW, together
 from tests.service.support import ROOT, InProcess, Team, codes, named
 
 NO_REACH = Issue("motion.no_reach", "a target of the pretended plan is too far")
@@ -467,32 +467,13 @@ def test_raw_blocks_have_jobs_with_what_their_template_names(here: Elements, tmp
     assert problem["cell"]["arms"][0]["robot"] == "irb4600_40"
 
 
-def together(folder: Path, name: str) -> list[tuple[str, Any]]:
-    """The files of a small shell whose panels are cut together, three out of each raw block."""
-    bow = {"robot": {"kind": "bow", "span_mm": 1300, "throat_mm": 1300}}
-    saw = {**SAW, "cell": "irb4600_bow.yaml"}
-    saw["operations"] = [{**SAW["operations"][0], "setup": {"tools": bow}}]
-    raw = {"sizes": [{"size_mm": [2400, 1200, 170], "foam": "eps_a120"}], "kerf_mm": 2}
-    more = {"raw_blocks": raw, "cut_blocks": {"problem": "saw.yaml", "together": True}, "foam_sides_mm": 14}
-    path = shell(folder, cap(n=9), SHELL, name=name, **more)
-    held = yaml.safe_load((folder / "held.yaml").read_text()) | {"cell": "two_irb4600_bow_gripper.yaml"}
-    cells = ROOT / "problems" / "cells"
-    return [
-        ("problem", ("element.yaml", path.read_bytes())),
-        ("files", ("shell.obj", (folder / "shell.obj").read_bytes())),
-        ("files", ("held.yaml", yaml.safe_dump(held))),
-        ("files", ("saw.yaml", yaml.safe_dump(saw))),
-        *(("files", (f"{one}.yaml", (cells / f"{one}.yaml").read_bytes())) for one in CELLS),
-    ]
-
-
-CELLS = ("two_irb4600_bow_gripper", "irb4600_bow")
-
-
 def test_jobs_of_raw_blocks_are_jobs_and_panels_are_those_of_their_rows(
     here: Elements, tmp_path: Path
 ) -> None:
-    posted = here.http.post("/v1/elements", files=together(tmp_path, "rows"))
+    element_file, *others = together(tmp_path, name="rows")
+    files = [("problem", (element_file.name, element_file.read_bytes()))]
+    files += [("files", (path.name, path.read_bytes())) for path in others]
+    posted = here.http.post("/v1/elements", files=files)
     assert posted.status_code == 201, posted.text
     element = here.divided(posted.json()["id"])
     address = f"/v1/elements/{element['id']}"
@@ -521,8 +502,8 @@ def test_jobs_of_raw_blocks_are_jobs_and_panels_are_those_of_their_rows(
     for one in made:
         here.ended(one["id"])
     given = here.dividing.given
-    (files,) = (files for name, files in given.items() if name.startswith(f"rows-{row['id']}-"))
-    assert yaml.safe_load(files["problem.yaml"])["name"] == f"rows_{row['id'].replace('-', '_')}"
+    (sent,) = (files for name, files in given.items() if name.startswith(f"rows-{row['id']}-"))
+    assert yaml.safe_load(sent["problem.yaml"])["name"] == f"rows_{row['id'].replace('-', '_')}"
 
     def panels() -> dict[str, dict[str, Any]]:
         return {one["id"]: one for one in here.http.get(address).json()["panels"]}
