@@ -440,7 +440,7 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 16
+API: Final = 17
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
@@ -448,7 +448,7 @@ log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks li
 13: drafts, the order of the queue, sweeps, estimates of what is left, links to look. 14: pages of drafts, and
 which of them were sent, releases of panels, several problems at once, titles of elements.
 15: pictures for lists, titles of drafts that go with the name of the problem. 16: scopes of tokens, pictures
-of panels, first looks at coarser paths."""
+of panels, first looks at coarser paths. 17: jobs of raw blocks of elements."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
