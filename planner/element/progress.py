@@ -59,7 +59,7 @@ class Progress:
         """Those that are in no row."""
         return [name for name in names if name not in self.rows]
 
-    def job_state(self, job: Mapping[str, Any]) -> State | None:
+    def job_state(self, job: Mapping[str, Any]) -> Literal["cut"] | None:
         """``cut`` where a job of a raw block is done: that of panels when none of them is to be cut; None
         where it is open."""
         names = job.get("panels", (str(job["id"]),))

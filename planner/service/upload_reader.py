@@ -56,7 +56,7 @@ PROCESS: Final = "targets"
 MOST: Final = 3000
 """Bars of one way; of longer ones some poses are left out."""
 DIVIDED_BY: Final = {
-    "elastic": ("tolerance_mm",),
+    "elastic": ("tolerance_mm", "joint_mm"),
     "hexagons": ("count", "off_surface_mm"),
     "boxes": ("least_height_mm",),
     "puzzle": ("lobe_mm", "cells"),
