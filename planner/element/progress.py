@@ -112,6 +112,7 @@ def marked(found: Progress, name: str, state: State | Literal["open"]) -> Progre
         )
         raise TandemError(Issue("element.mark", what, field="panel", hint="see the ids in element.html"))
     if job is not None and "panels" in job:
+        rows.pop(name, None)  # it cut the block apart, as the element was divided before
         meant = [one for one in job["panels"] if (found.state(one) or _OPEN) in _OF_JOB[state]]
     elif job is not None and state not in ("cut", _OPEN):
         what = f"got {state} for {name}, a job that cuts block {job['block']} apart; allowed are cut and open"

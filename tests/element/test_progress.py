@@ -222,3 +222,7 @@ def test_jobs_of_raw_blocks_are_marked_with_the_panels_that_they_cut(tmp_path: P
     (tmp_path / "element.json").write_text(json.dumps(data))
     (told,) = progress.issues(progress.read(tmp_path))
     assert "have blocks of another size now: B1" in told.message
+    jobs[0]["panels"] = {"P3": []}  # divided anew, it cuts a panel
+    (tmp_path / "element.json").write_text(json.dumps(data))
+    run_element_mark(ElementMark(tmp_path, "B1", "open"))
+    assert progress.issues(progress.read(tmp_path)) == ()

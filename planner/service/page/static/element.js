@@ -122,6 +122,7 @@ function drawVerdict() {
   else if (wrong) say("bad", icon("cross"), element.state === "cancelled" ? "Stopped before it was divided" : "It cannot be divided so");
   else say(issues.length ? "warn" : "ok", icon(issues.length ? "warning" : "check"), `${plural((element.panels ?? []).length, "panel")}${issues.length ? `, with ${plural(issues.length, "remark")}` : ""}`);
   $("canvas").parentElement.classList.toggle("past", busy || drawn !== id);
+  if (!data) $("view-empty").textContent = wrong ? "Nothing to draw: what stands in the way is told beside the figures." : "The panels appear here when the element is divided.";
   const key = JSON.stringify([issues, busy]);
   if ($("issues").dataset.shown === key) return;
   $("issues").dataset.shown = key;
