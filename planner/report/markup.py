@@ -432,7 +432,7 @@ _ON_WHITE: Final = "".join(f"--c{k}:{colour};" for k, colour in enumerate(PALETT
 CSS: Final = (
     """
 :root{--bg:#f6f7f9;--card:#fff;--ink:#1b2330;--soft:#5a6678;--line:#e2e6ec;--grid:#e9edf2;--accent:#0f6e84;
---ok:#1a7f4b;--ok-bg:#e3f4ea;--bad:#c0352b;--bad-bg:#fbe7e5;--warn:#92610a;--warn-bg:#fcf1d9;
+--ok:#187a48;--ok-bg:#e3f4ea;--bad:#c0352b;--bad-bg:#fbe7e5;--warn:#92610a;--warn-bg:#fcf1d9;
 --note-bg:#e8eef6;
 """
     + _ON_WHITE
