@@ -104,12 +104,14 @@ def marked(found: Progress, name: str, state: State | Literal["open"]) -> Progre
     or a state that a job cannot have."""
     rows = dict(found.rows)
     panels = {str(one["id"]): one for one in found.data["panels"]}
-    job = block_jobs(found.data).get(name)
+    jobs = block_jobs(found.data)
+    job = jobs.get(name)
     if name not in panels and job is None and (state != _OPEN or name not in rows):
         known = list(panels)
         what = (
             f"got panel {name!r}, {found.data['name']} has {len(known)} panels from {known[0]} to {known[-1]}"
         )
+        what += f" and {len(jobs)} jobs of raw blocks" if jobs else ""
         raise TandemError(Issue("element.mark", what, field="panel", hint="see the ids in element.html"))
     if job is not None and "panels" in job:
         rows.pop(name, None)  # it cut the block apart, as the element was divided before
