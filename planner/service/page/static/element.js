@@ -74,6 +74,7 @@ async function drawData() {
   if (of !== id) return;
   const before = data;
   [data, drawn, shownList] = [found, of, ""];
+  show($("element"), true); // the view is fitted into a canvas that has its size
   viewer.show(data, before !== null);
   show($("view-empty"), !viewer.works);
   if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); the list below has all panels.";
