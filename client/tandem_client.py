@@ -491,15 +491,16 @@ class Client:
         return str(self._make("/v1/elements", body, kind, key)["id"])
 
     def element(self, element: str) -> dict[str, Any]:
-        """An element with its ``panels``: order, block, job and state of each."""
+        """An element with its ``panels``: order, block, job and state of each, and its ``block_jobs``, which
+        cut raw blocks apart, or several ``panels`` out of one together."""
         self._want(DESK_API, "elements")
         return self._json(_of(element, kind="elements"))
 
     def plan_panels(
         self, element: str, panels: Sequence[str] | None = None, key: str | None = None
     ) -> list[str]:
-        """Plan panels of an element, or all that are not planned yet; the ids of their jobs. ``key`` as of
-        :meth:`submit`."""
+        """Plan panels and jobs of raw blocks of an element by their ids, or all that are not planned yet; the
+        ids of their jobs. ``key`` as of :meth:`submit`."""
         self._check_key(key)
         self._want(DESK_API, "elements")
         body = json.dumps({} if panels is None else {"panels": list(panels)}).encode()
@@ -542,21 +543,24 @@ class Client:
     def release_panels(
         self, element: str, panels: Sequence[Mapping[str, Any]], note: str = "", name: str | None = None
     ) -> dict[str, Any]:
-        """Release the programs of panels by one act: rows of :meth:`element`, each by its ``job`` and
-        ``digest`` as it was looked at. The ``releases``, and what is ``refused``: a ``panel`` that is not
+        """Release the programs of panels and of jobs of raw blocks by one act: rows of :meth:`element`, each
+        by its ``job`` and ``digest`` as it was looked at; panels that are ``cut_in`` the job of a raw block
+        are released with that. The ``releases``, and what is ``refused``: a ``panel`` that is not
         proven, was planned again meanwhile, or is released already, with its ``issues``. ``name`` as of
         :meth:`release`. Raises ``TandemError``: ``service.release`` where that is all of them."""
         self._want(BATCHES_API, "releases of panels")
         if not all(isinstance(one, Mapping) and "id" in one for one in panels):
-            what = "panels: give rows of element(...)['panels'], each with id, job and digest"
+            what = "panels: give rows of element(...), of its panels or block_jobs, with id, job and digest"
             raise self._refused({"code": "problem.field", "message": what, "field": "panels"})
-        shown = {str(one["id"]): {"job": one.get("job"), "digest": one.get("digest")} for one in panels}
+        own = [one for one in panels if not one.get("cut_in")]
+        shown = {str(one["id"]): {"job": one.get("job"), "digest": one.get("digest")} for one in own}
         said = {"panels": shown, "note": note, "name": name}
         return self._send(_of(element, "/release", "elements"), said, "POST")
 
     def mark_panel(self, element: str, panel: str, state: str) -> dict[str, Any]:
         """Mark a panel as cut, glued or broken, or open, which takes its mark away: the element, whose
-        ``told`` says what is next."""
+        ``told`` says what is next. The id of a job of a raw block stands for all panels that it cuts, or
+        where it cuts the block apart, for itself: cut or open."""
         self._want(DESK_API, "elements")
         return self._send(_of(element, "/mark", "elements"), {"panel": panel, "state": state}, "POST")
 

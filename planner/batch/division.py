@@ -100,14 +100,8 @@ def _written(element: AnyElement, folder: Path | None) -> AnyElement:
     def named(template: AnyTemplate) -> AnyTemplate:
         return dataclasses.replace(template, data=each_file(template.data, carried))
 
-    saw, file, cut = (
-        None if element.saw is None else named(element.saw),
-        element.file,
-        element.file.cut_blocks,
-    )
-    if cut is not None and cut.together:  # each panel is a job of its own there
-        file = file.model_copy(update={"cut_blocks": cut.model_copy(update={"together": False})})
-    return dataclasses.replace(element, file=file, templates=tuple(map(named, element.templates)), saw=saw)
+    saw = None if element.saw is None else named(element.saw)
+    return dataclasses.replace(element, templates=tuple(map(named, element.templates)), saw=saw)
 
 
 def _elastic(element: ElasticElement, folder: Path | None) -> Made:

@@ -158,4 +158,7 @@ def _panels(path: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
 
 def _jobs_and_neighbours(data: Mapping[str, Any]) -> dict[str, tuple[str, tuple[str, ...]]]:
     rows = data["panels"]
-    return {str(row["id"]): (str(row["job"]), tuple(str(n) for n in row["neighbours"] if n)) for row in rows}
+    return {
+        str(row["id"]): (str(row.get("job", "")), tuple(str(n) for n in row["neighbours"] if n))
+        for row in rows
+    }

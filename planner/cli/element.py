@@ -109,7 +109,7 @@ class ElementMark:
     element: tyro.conf.Positional[Path]
     """folder that `tandem element FILE -o OUT` wrote"""
     panel: tyro.conf.Positional[str]
-    """the id of a panel"""
+    """the id of a panel, or of a job of a raw block, for the panels that it cuts"""
     state: tyro.conf.Positional[Literal["cut", "glued", "broken", "open"]]
     """what it is now"""
 

@@ -73,7 +73,7 @@ def assembly_section(data: Mapping[str, Any], fill: Callable[[Mapping[str, Any]]
         + f'<script type="application/json" id="put-up-data">{packed}</script>'
         + f"<script>{view3d.script(SCRIPT.read_text('utf-8'))}</script>"
     )
-    heads = ("", "panel", "comes from", "beside", "in its way mm")
+    heads = ("step", "panel", "comes from", "beside", "in its way mm")
     return (
         Paragraph(
             "Drag to turn, shift and drag or two fingers to move; the wheel zooms once the view was clicked.",

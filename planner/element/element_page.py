@@ -9,18 +9,24 @@ panels.
 from __future__ import annotations
 
 import base64
-import html
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from planner.element.assembly_page import assembly_section
-from planner.element.panel_drawing import BOLD, words_at
+from planner.element.element_drawings import (
+    behind,
+    drawing,
+    flat,
+    front_of,
+    group_colour,
+    row_of,
+    state_of,
+    turned_up,
+)
 from planner.element.run_page import bars, cut_section, hours, joints_section, run_tiles
 from planner.element.run_report import MINUTE, ElementRun, PanelRun, SawRun
-from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.report.markup import (
     Block,
@@ -46,15 +52,6 @@ from planner.report.markup import (
     table,
 )
 
-_WIDTH: Final = 1000.0  # of drawings [px]
-_FILL: Final = {"proven": "var(--ok-bg)", "refused": "var(--bad-bg)", "open": "var(--note-bg)"}
-_WIDE: Final = 0.62  # mean width of a letter in sizes of type
-_LEAST: Final = 4.0  # px: type that is smaller is left out, the words are in the title
-_LARGEST: Final = 22.0  # px: type of ids
-_SMALL_SHARE: Final = 15.0  # percent of the panels that may be too small for the type of ids
-_COLOURS: Final = 8  # of the page's palette
-_GAP: Final = 26.0  # px between panels that are laid flat
-
 
 def element_page(found: ElementRun, blocks: str | None = None) -> str:
     """The page as HTML; ``blocks``: the cut drawings of raw blocks, an SVG."""
@@ -70,12 +67,13 @@ def element_page(found: ElementRun, blocks: str | None = None) -> str:
             verdicts.append(("bad" if over else "ok", words))
     else:
         verdicts.append(("", f"{count} panels, none planned yet"))
-    sections = [Section("drawing", "Panels", (Wide(_drawing(found)), Paragraph(_key(found), "soft")))]
+    seen = (Wide(drawing(found)), Paragraph(_key(found), "soft"), Folded("Seen from behind", behind(found)))
+    sections = [Section("drawing", "Panels", seen)]
     if any("front_mm" in panel.panel for panel in found.panels):
         by = "groups" if data.get("grouped") else "rows"
         words = f"Fronts at one scale, by {by}; up is up in the element where they lean."
-        flat = Folded(f"{count} panels, by {by}", Drawing(_flat(found)))
-        sections.append(Section("flat", "Panels laid flat", (Paragraph(words, "soft"), flat)))
+        laid = Folded(f"{count} panels, by {by}", Drawing(flat(found)))
+        sections.append(Section("flat", "Panels laid flat", (Paragraph(words, "soft"), laid)))
     sections.append(Section("assembly", "How it is put up", assembly_section(data, _colours(found))))
     sections.append(Section("told", "What was said of it", _told(found)))
     sections.append(Section("totals", "Totals", (Facts(tuple(_totals(found))), Paragraph(_BASIS, "soft"))))
@@ -95,6 +93,7 @@ def element_page(found: ElementRun, blocks: str | None = None) -> str:
     )
 
 
+_IN_LINE: Final = 4  # ids
 _BASIS: Final = (
     "Hours to cut are the lengths of the cuts at the feeds of the jobs, for each arm that takes part. Ways "
     "in and out, loading and mounting come on top."
@@ -103,18 +102,14 @@ _BASIS: Final = (
 
 def _colours(found: ElementRun) -> Callable[[Mapping[str, Any]], str]:
     """The colours of panels that stand: by their states where a batch is known, else by groups, if any."""
-    states = {panel.name: _state(panel) for panel in found.panels}
+    states = {panel.name: state_of(panel) for panel in found.panels}
 
     def fill(panel: Mapping[str, Any]) -> str:
         if found.planned:
             return {"proven": "--ok", "refused": "--bad", "open": "--c7"}[states[str(panel["id"])]]
-        return _group_colour(str(panel["id"])) if found.data.get("grouped") else "--c0"
+        return group_colour(str(panel["id"])) if found.data.get("grouped") else "--c0"
 
     return fill
-
-
-def _group_colour(name: str) -> str:
-    return f"--c{(ord(name[0]) - ord('A')) % _COLOURS}"
 
 
 def _key(found: ElementRun) -> str:
@@ -160,143 +155,6 @@ def _estimate(jobs: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return out
 
 
-def _state(panel: PanelRun | SawRun) -> str:
-    if panel.proven:
-        return "proven"
-    return "open" if panel.state == "not planned" else "refused"
-
-
-def _ring(panel: Mapping[str, Any], key: str = "outline_mm") -> FloatArray:
-    return np.array(panel[key], dtype=np.float64)
-
-
-def _front(panel: Mapping[str, Any]) -> FloatArray:
-    """A panel's front (C, 2) [mm]; where it is not told by itself, as it is drawn with the others."""
-    return _ring(panel, "front_mm" if "front_mm" in panel else "outline_mm")
-
-
-def _drawing(found: ElementRun) -> Drawing:
-    """All panels as seen from the front, in the page's own colours."""
-    rings = {panel.name: _ring(panel.panel) for panel in found.panels}
-    size = np.concatenate(list(rings.values())).max(axis=0)
-    scale = _WIDTH / float(size[0])
-    high = float(size[1]) * scale
-    drawn = {name: ring * [scale, -scale] + [0.0, high] for name, ring in rings.items()}
-    size_of_type = _type_size(drawn)
-    out = [_svg(high, "panels")]
-    for panel in found.panels:
-        own = panel.panel
-        ring = drawn[panel.name]
-        minutes = max(panel.seconds.values(), default=0.0) / MINUTE
-        below = ""
-        if found.planned:
-            below = f"{minutes:.1f} min" if panel.proven else panel.code.partition(".")[2]
-        said = f"{panel.name}: {panel.state} {panel.code}".strip()
-        dashed = ' stroke-dasharray="5 3"' if own.get("concave") == "yes" else ""
-        fill = _FILL[_state(panel)]
-        if found.data.get("grouped") and not found.planned:
-            fill = f"var({_group_colour(panel.name)})"
-            dashed += ' fill-opacity="0.3"'
-        out.append(f"<g><title>{html.escape(said)}</title>{_polygon(ring, fill, dashed)}")
-        if "wire_along" in own:
-            (left, top), (right, bottom) = ring.min(axis=0) + 8.0, ring.max(axis=0) - 8.0
-            ends = (left, top, right, top) if own["wire_along"] == "x" else (left, top, left, bottom)
-            out.append(_line(ends, 'stroke="var(--soft)" stroke-width="1"'))
-        out += [*_words(ring, panel.name, size_of_type, below), "</g>"]
-    for joint in sorted(found.measured, key=lambda joint: joint.over):
-        one, other = joint.panels
-        own = next(panel.panel for panel in found.panels if panel.name == one)
-        ring = drawn[one]
-        style = (
-            'stroke="var(--bad)" stroke-width="6"' if joint.over else 'stroke="var(--ink)" stroke-width="2"'
-        )
-        words = f"<title>{one} to {other}: {joint.at_95 / MM:.3f} mm at 95 %</title>"
-        for i in (i for i, beyond in enumerate(own["neighbours"]) if beyond == other):
-            ends = (*ring[i].tolist(), *ring[(i + 1) % len(ring)].tolist())
-            out.append(_line(ends, style, words))
-    return Drawing("".join(out) + "</svg>")
-
-
-def _svg(high: float, label: str) -> str:
-    return (
-        f'<svg viewBox="-4 -4 {_WIDTH + 8:.0f} {high + 8:.0f}" role="img" aria-label="{label}" '
-        'style="width:100%;font-family:inherit">'
-    )
-
-
-def _polygon(ring: FloatArray, fill: str, more: str = "") -> str:
-    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in ring.tolist())
-    return f'<polygon points="{points}" fill="{fill}" stroke="var(--soft)"{more}/>'
-
-
-def _line(ends: Sequence[float], style: str, inside: str = "") -> str:
-    places = " ".join(f'{k}="{v:.1f}"' for k, v in zip(("x1", "y1", "x2", "y2"), ends, strict=True))
-    return f"<line {places} {style}>{inside}</line>"
-
-
-def _type_size(rings: Mapping[str, FloatArray]) -> float:
-    """The size [px] of ids that most outlines have room for."""
-    room = [
-        min(0.56 * float(np.ptp(ring[:, 0])) / (_WIDE * len(name)), 0.4 * float(np.ptp(ring[:, 1])))
-        for name, ring in rings.items()
-    ]
-    return min(_LARGEST, float(np.percentile(room, _SMALL_SHARE)))
-
-
-def _words(ring: FloatArray, name: str, size: float, below: str = "") -> list[str]:
-    """A panel's id in the middle of its outline, at most of that size, and a smaller line below it."""
-    wide, tall = np.ptp(ring, axis=0).tolist()
-    own = min(size, 0.7 * wide / (_WIDE * len(name)), 0.5 * tall)
-    x, y, share = words_at(ring, BOLD * len(name) * own, (1.8 if below else 1.0) * own)
-    own *= share
-    small = min(0.7 * own, 0.8 * wide / (_WIDE * max(len(below), 1)))
-    out = []
-    for line, high, at, weight in (
-        (name, own, 0.0 if below else 0.35, 600),
-        (below, small, 0.9, 400),
-    ):
-        if line and high >= _LEAST:
-            out.append(
-                f'<text x="{x:.1f}" y="{y + at * own:.1f}" text-anchor="middle" style="fill:var(--ink);'
-                f'font-size:{high:.1f}px;font-weight:{weight}">{html.escape(line)}</text>'
-            )
-    return out
-
-
-def turned_up(panel: Mapping[str, Any]) -> FloatArray:
-    """The front (C, 2) [mm] of a panel laid flat with its up upwards, about the middle of its box."""
-    ring = _front(panel)
-    x, y = panel.get("up", (0.0, 1.0))
-    ring = ring @ np.array([[y, x], [-x, y]])
-    return np.asarray(ring - 0.5 * (ring.min(axis=0) + ring.max(axis=0)))
-
-
-def row_of(name: str) -> str:
-    """The letters that a panel's id begins with."""
-    found = re.match(r"[A-Za-z]+", name)
-    return found[0] if found else ""
-
-
-def _flat(found: ElementRun) -> str:
-    """All fronts at one scale, a new line for each row of ids."""
-    rings = {panel.name: turned_up(panel.panel) for panel in found.panels}
-    largest = max(float(np.ptp(ring, axis=0).max()) for ring in rings.values())
-    scale = 0.11 * _WIDTH / largest
-    x, y, tall, row = 0.0, 0.0, 0.0, ""
-    out = []
-    for panel in found.panels:
-        ring = rings[panel.name] * [scale, -scale]
-        wide, own = np.ptp(ring, axis=0).tolist()
-        new = row_of(panel.name)
-        if (row and new != row) or x + wide > _WIDTH:
-            x, y, tall = 0.0, y + tall + (2.0 if new != row else 1.0) * _GAP, 0.0
-        row, tall = new, max(tall, own)
-        moved = ring + np.array([x + 0.5 * wide, y + 0.5 * own])
-        out += [_polygon(moved, _FILL[_state(panel)]), *_words(moved, panel.name, _LARGEST)]
-        x += wide + _GAP
-    return _svg(y + tall, "panels laid flat") + "".join(out) + "</svg>"
-
-
 def _told(run: ElementRun) -> tuple[Block, ...]:
     """What was said of the element as it was divided, and as it is cut."""
     cut = run.issues() if run.planned else ()
@@ -312,7 +170,7 @@ def _told(run: ElementRun) -> tuple[Block, ...]:
         )
         for one in found
     ]
-    return (table(("", "what", "code"), rows),)
+    return (table(("kind", "what", "code"), rows),)
 
 
 def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
@@ -363,13 +221,19 @@ def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
     for arm, minutes in _estimate(own).items():
         each = minutes / len(own)
         yield f"to cut, arm {arm}", f"about {minutes / 60.0:.1f} h, {each:.1f} min a panel: an estimate"
+    jobs = [one for one in (*own, *(saw.job for saw in found.saw)) if one.get("stops")]
+    if metres := sum(float(one["cut_m"]) for one in jobs):
+        yield "wire through foam", f"{metres:.0f} m"
+    if jobs:
+        stops = sum(int(one["stops"]) for one in jobs)
+        yield "stops of the operator", f"{stops} in {len(jobs)} jobs: to bring foam, turn it or change tools"
     for arm, minutes in _estimate([one.job for one in found.saw]).items():
         words = f"about {minutes / 60.0:.1f} h in {len(found.saw)} jobs: an estimate"
         yield f"to cut raw blocks, arm {arm}", words
 
 
 def _sizes(found: ElementRun) -> tuple[Grid, ...]:
-    rings = [_front(panel.panel) for panel in found.panels]
+    rings = [front_of(panel.panel) for panel in found.panels]
     areas, edges = [], []
     for ring in rings:
         after = np.roll(ring, -1, axis=0)
@@ -410,7 +274,7 @@ def _blocks(found: ElementRun, drawing: str | None) -> tuple[Block, ...]:
             block["id"],
             _size(block["size_mm"]) + (f", {block['left_over']}" * bool(block["left_over"])),
             len(block["panels"]),
-            " ".join(one["id"] for one in block["panels"]),
+            _few([one["id"] for one in block["panels"]]),
             len(block["cuts"]) + sum(one["level_cut"] for one in block["panels"]),
             round(100.0 * block["yield_volume"]),
             round(100.0 * block["yield_boxes"]),
@@ -479,10 +343,15 @@ def _saw_list(found: ElementRun) -> Table:
 
 def _became(job: PanelRun | SawRun, arms: Sequence[str]) -> list[Phrase]:
     """State, minutes of each arm, and why it is not proven."""
-    kind = {"proven": "ok", "refused": "bad", "open": "off"}[_state(job)]
+    kind = {"proven": "ok", "refused": "bad", "open": "off"}[state_of(job)]
     minutes = [round(job.seconds[a] / MINUTE, 2) if a in job.seconds else None for a in arms]
     why = "" if job.proven else Soft(f"{job.code} {job.message}".strip())
     return [Tag(kind, "proven" if job.proven else job.state), *minutes, why]
+
+
+def _few(names: Sequence[str]) -> str:
+    """Ids in lines of four at least, however narrow the column."""
+    return " ".join("\u00a0".join(names[k : k + _IN_LINE]) for k in range(0, len(names), _IN_LINE))
 
 
 def _size(sides: Sequence[float]) -> str:
@@ -498,21 +367,27 @@ def _list(found: ElementRun) -> Table:
     }
     arms = tuple(found.arm_seconds())
     wired = any("wire" in panel.panel for panel in found.panels)
-    heads = ["panel", "size mm", "edges", "weight kg", "block mm", "raw block", "off surface mm"]
+    grouped, timed = bool(found.data.get("grouped")), any(one.get("cut_min") for one in _panels(found))
+    heads = ["panel", *["group"] * grouped, "size mm", "edges", "weight kg", "block mm", "raw block", "job"]
+    heads += ["off surface mm"]
     apart = _backs_apart(found)
     heads += ["backs apart mm"] * apart + ["wire"] * wired
-    heads += ["state", *(f"{arm} min" for arm in arms), "why not"] if found.planned else ["to cut min"]
+    heads += (
+        ["state", *(f"{arm} min" for arm in arms), "why not"] if found.planned else ["to cut min"] * timed
+    )
     rows = []
     for panel in found.panels:
         own = panel.panel
         wide, tall = np.ptp(turned_up(own), axis=0).tolist()
         row: list[Phrase] = [
             panel.name,
+            *[row_of(panel.name)] * grouped,
             _size([round(wide), round(tall)]),
             len(own["outline_mm"]),
             round(float(own["weight_kg"]), 2) if own.get("weight_kg") else None,
             _size([own[f"block_{axis}_mm"] for axis in "xyz"]),
             cut_from.get(panel.name, ""),
+            str(own.get("cut_in", own).get("job", "")),
             round(float(own["off_surface_mm"]), 2) if "off_surface_mm" in own else None,
         ]
         if apart:
@@ -521,7 +396,7 @@ def _list(found: ElementRun) -> Table:
             row.append(f"{own['wire']}, along {own['wire_along']}")
         if found.planned:
             row += _became(panel, arms)
-        else:
+        elif timed:
             row.append(round(max(own.get("cut_min", {}).values(), default=0.0), 1) or None)
         rows.append(tuple(row))
     return table(tuple(heads), rows)

@@ -18,7 +18,7 @@ from planner.element.hexagons import HexagonPanel
 from planner.element.jobs import (
     block_mm,
     chosen_templates,
-    cut_minutes,
+    cut_figures,
     pose_mm,
     problem,
     problem_text,
@@ -199,7 +199,7 @@ def _data(
                 "front_mm": np.round(panel.top[:, :2] / MM, RING_DIGITS).tolist(),
                 "back_mm": np.round(panel.bottom[:, :2] / MM, RING_DIGITS).tolist(),
                 "up": _up(element, panel).tolist(),
-                "cut_min": cut_minutes(template, functools.partial(way, panel)),
+                **cut_figures(template, functools.partial(way, panel)),
                 "block_pose": pose_mm(panel.pose),
             }
             for one, panel, outline, template, stands in zip(

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.element.elastic_panel import ElasticPanel
 from planner.element.element_file import ElasticElement, Element, Template
-from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -89,18 +89,39 @@ def chosen_templates(element: Element, panels: Sequence[Panel], names: Sequence[
     return tuple(chosen)
 
 
-def cut_minutes(template: Template, way: Callable[[Mapping[str, Any]], float]) -> dict[str, float]:
-    """Minutes that each arm cuts, by its name: the ``way`` [mm] of each operation of a template at its feed.
-    Ways in and out, loading and mounting come on top."""
-    found: dict[str, float] = {}
-    for operation in template.data["operations"]:
-        if not isinstance(operation, dict):
-            continue
-        feed, arms = operation.get("feed_mm_s"), operation.get("arms")
+def cut_figures(
+    template: Template, way: Callable[[Mapping[str, Any]], float], stops: int = 0
+) -> dict[str, Any]:
+    """What a job takes, estimated: ``cut_min``, minutes that each arm cuts, by its name: the ``way`` [mm] of
+    each operation of a template at its feed; ``cut_m``, all ways together [m]; ``stops`` of the operator: one
+    to bring the foam, and one before each later operation with a setup, unless they are stated. Ways in and
+    out, loading and mounting come on top."""
+    minutes: dict[str, float] = {}
+    metres = 0.0
+    operations = [one for one in template.data["operations"] if isinstance(one, dict)]
+    for operation in operations:
+        feed, arms, far = operation.get("feed_mm_s"), operation.get("arms"), way(operation)
+        metres += 1e-3 * far
         if isinstance(feed, int | float) and feed > 0 and isinstance(arms, list):
             for arm in arms:
-                found[str(arm)] = found.get(str(arm), 0.0) + way(operation) / feed / 60.0
-    return {arm: round(minutes, 3) for arm, minutes in found.items()}
+                minutes[str(arm)] = minutes.get(str(arm), 0.0) + far / feed / 60.0
+    return {
+        "cut_min": {arm: round(one, 3) for arm, one in minutes.items()},
+        "cut_m": round(metres, 4),
+        "stops": stops or 1 + sum("setup" in one for one in operations[1:]),
+    }
+
+
+def ruled_way(made: Mapping[str, Any], operation: Mapping[str, Any]) -> float:
+    """How far [mm] the wire goes in an operation along ruled surfaces of the problem that is ``made``,
+    half-way between their lines."""
+    shapes = {one["name"]: one for one in made["part"].get("ruled", ())}
+    named = [shapes[cut["surface"]] for cut in operation.get("cuts", ()) if cut.get("surface") in shapes]
+    return sum(
+        float(lengths(np.diff(np.array(one[side]["polyline_mm"]), axis=0)).sum()) / 2.0
+        for one in named
+        for side in ("start", "end")
+    )
 
 
 def problem(

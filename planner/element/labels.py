@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
-from planner.element.element_page import turned_up
+from planner.element.element_drawings import turned_up
 from planner.element.panel_drawing import inner
 from planner.geometry.arrays import FloatArray
 

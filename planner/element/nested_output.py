@@ -29,6 +29,8 @@ from planner.issues import Issue
 
 AGAIN: Final = "again"
 """Folder of the problems of panels that rows cut, for those that break."""
+PROBLEMS: Final = ("panels", "blocks", AGAIN)
+"""Folders of problems; no id is in two of them."""
 
 
 def nested_folder(

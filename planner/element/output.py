@@ -20,7 +20,7 @@ from planner.element import dowels, kept
 from planner.element.assembly import BESIDE, GIVE, Assembly, Body, rests_on
 from planner.element.elastic_panel import JOINT_SHARE, ElasticPanel, Joint, joints
 from planner.element.element_file import LEAST_TOLERANCE_MM, ElasticElement, Element
-from planner.element.jobs import block_mm, block_pose, chosen_templates, cut_minutes, ids, panel_files
+from planner.element.jobs import block_mm, block_pose, chosen_templates, cut_figures, ids, panel_files
 from planner.element.nest import PanelBlock
 from planner.element.nested_output import AGAIN, nested_folder, rows_in
 from planner.element.surface import RIM
@@ -101,7 +101,7 @@ def finished(
         name = str(panel["id"])
         if name in cut_in:
             files[f"{AGAIN}/{name}.yaml"] = files.pop(f"panels/{name}.yaml")
-            panel |= {"cut_in": cut_in[name], "cut_min": {}}
+            panel |= {"cut_in": cut_in[name], "cut_min": {}, "cut_m": 0.0, "stops": 0}
     if element.file.dowels is not None:
         held = dowels.placed(element.file.dowels, up)
         poses = {panel["id"]: block_pose(panel) for panel in data["panels"]}
@@ -322,7 +322,7 @@ def _data(
                 "cells": list(panel.rectangle),
                 "neighbours": beyond,
                 "outline_mm": np.round(np.array(ring) * step, 2).tolist(),
-                "cut_min": cut_minutes(template, functools.partial(way, panel)),
+                **cut_figures(template, functools.partial(way, panel)),
                 "block_pose": pose(panel.pose),
             }
             for row, panel, template, (ring, beyond), stands in zip(

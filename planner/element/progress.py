@@ -4,6 +4,9 @@ one is cut again.
 ``progress.csv`` lies beside ``element.json`` and is no part of what `tandem element` writes, so it stays
 where an element is divided again. A row has the panel's id, its state, and the size of its block when it was
 marked, which tells panels that were another shape then.
+
+A job of a raw block may be marked as well: one that cuts panels together stands for all of these, one that
+cuts the block apart has a row of its own, with the size of its part.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from typing import Any, Final, Literal, get_args
 
 from planner.element import stock_list
 from planner.element.assembly import in_order
+from planner.element.nested_output import AGAIN
 from planner.element.output import table
 from planner.element.stock_list import LeftOver
 from planner.files import is_file, no_file
@@ -30,6 +34,14 @@ State = Literal["cut", "glued", "broken"]
 FILE: Final = "progress.csv"
 _COLUMNS: Final = ("id", "state", "block_mm")
 _MOST_NAMED: Final = 8  # panels of a block that are still to be cut
+_OPEN: Final = "open"
+_OF_JOB: Final[Mapping[str, tuple[str, ...]]] = {
+    "cut": (_OPEN,),
+    "glued": (_OPEN, "cut"),
+    "broken": (_OPEN, "cut"),
+    "open": ("cut",),
+}
+"""Panels that the mark of a job changes, by their states: what is farther than it keeps its own mark."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +58,12 @@ class Progress:
     def to_cut(self, names: Sequence[str]) -> list[str]:
         """Those that are in no row."""
         return [name for name in names if name not in self.rows]
+
+    def job_state(self, job: Mapping[str, Any]) -> Literal["cut"] | None:
+        """``cut`` where a job of a raw block is done: that of panels when none of them is to be cut; None
+        where it is open."""
+        names = job.get("panels", (str(job["id"]),))
+        return None if self.to_cut(list(names)) else "cut"
 
 
 def read(out: Path) -> Progress:
@@ -70,25 +88,50 @@ def read(out: Path) -> Progress:
     return Progress(data, rows)
 
 
+def block_jobs(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """The jobs of raw blocks of an element's data by their ids, each with its ``block``, in the order in
+    which a block is cut."""
+    return {
+        str(job["id"]): {**job, "block": str(block["id"])}
+        for block in (data.get("blocks") or {}).get("blocks", ())
+        for job in block.get("jobs", ())
+    }
+
+
 def marked(found: Progress, name: str, state: State | Literal["open"]) -> Progress:
-    """The same with one panel in that state, or without its mark. Raises ``TandemError``: ``element.mark``
-    for an id that the element does not have."""
-    rows = {one: row for one, row in found.rows.items() if one != name}
-    panel = next((one for one in found.data["panels"] if one["id"] == name), None)
-    if panel is None and (state != "open" or name not in found.rows):
-        known = [str(one["id"]) for one in found.data["panels"]]
+    """The same with one panel in that state, or without its mark; or with the panels of a job, as far as the
+    mark is news of them. Raises ``TandemError``: ``element.mark`` for an id that the element does not have,
+    or a state that a job cannot have."""
+    rows = dict(found.rows)
+    panels = {str(one["id"]): one for one in found.data["panels"]}
+    jobs = block_jobs(found.data)
+    job = jobs.get(name)
+    if name not in panels and job is None and (state != _OPEN or name not in rows):
+        known = list(panels)
         what = (
             f"got panel {name!r}, {found.data['name']} has {len(known)} panels from {known[0]} to {known[-1]}"
         )
+        what += f" and {len(jobs)} jobs of raw blocks" if jobs else ""
         raise TandemError(Issue("element.mark", what, field="panel", hint="see the ids in element.html"))
-    if panel is not None and state != "open":
-        rows[name] = state, _block_mm(panel)
+    if job is not None and "panels" in job:
+        rows.pop(name, None)  # it cut the block apart, as the element was divided before
+        meant = [one for one in job["panels"] if (found.state(one) or _OPEN) in _OF_JOB[state]]
+    elif job is not None and state not in ("cut", _OPEN):
+        what = f"got {state} for {name}, a job that cuts block {job['block']} apart; allowed are cut and open"
+        hint = "mark the panels that are to come out of it"
+        raise TandemError(Issue("element.mark", what, field="state", hint=hint))
+    else:
+        meant = [name]
+    for one in meant:
+        rows.pop(one, None)
+        if state != _OPEN:
+            rows[one] = state, _part_mm(job) if one == name and job is not None else _block_mm(panels[one])
     return dataclasses.replace(found, rows=rows)
 
 
 def text(found: Progress) -> str:
-    """``progress.csv``: panels in the order of the element, then those that it has no more."""
-    known = [str(panel["id"]) for panel in found.data["panels"]]
+    """``progress.csv``: panels in the order of the element, jobs, then those that it has no more."""
+    known = [*(str(panel["id"]) for panel in found.data["panels"]), *block_jobs(found.data)]
     order = [name for name in known if name in found.rows]
     order += sorted(found.rows.keys() - set(known))
     return table([dict(zip(_COLUMNS, (name, *found.rows[name]), strict=True)) for name in order])
@@ -96,7 +139,8 @@ def text(found: Progress) -> str:
 
 def issues(found: Progress) -> tuple[Issue, ...]:
     """``element.mark`` for marks of panels that the element has no more, or that have another size now."""
-    blocks = {str(panel["id"]): _block_mm(panel) for panel in found.data["panels"]}
+    blocks = {name: _part_mm(job) for name, job in block_jobs(found.data).items()}
+    blocks |= {str(panel["id"]): _block_mm(panel) for panel in found.data["panels"]}
     gone = sorted(found.rows.keys() - blocks.keys())
     other = [name for name, (_, size) in found.rows.items() if blocks.get(name, size) != size]
     out = []
@@ -105,7 +149,7 @@ def issues(found: Progress) -> tuple[Issue, ...]:
         (sorted(other), "have blocks of another size now"),
     ):
         if names:
-            what = f"{len(names)} panels that are marked {said}: {', '.join(names)}"
+            what = f"{len(names)} panels or jobs that are marked {said}: {', '.join(names)}"
             hint = "the element was divided anew since: see to these panels, then mark them again, or open "
             hint += "to take their marks away"
             out.append(Issue("element.mark", what, Severity.WARNING, file=FILE, hint=hint))
@@ -114,6 +158,10 @@ def issues(found: Progress) -> tuple[Issue, ...]:
 
 def _block_mm(panel: Mapping[str, Any]) -> str:
     return " x ".join(f"{float(panel[f'block_{axis}_mm']):g}" for axis in "xyz")
+
+
+def _part_mm(job: Mapping[str, Any]) -> str:
+    return " x ".join(f"{float(v):g}" for v in job["size_mm"])
 
 
 def told(found: Progress, out: Path) -> Iterator[str]:
@@ -146,14 +194,35 @@ def _next_cut(found: Progress, left: Sequence[str]) -> Iterator[str]:
         yield f"next to be cut: {left[0]}"
         return
     blocks = [(block, [str(one["id"]) for one in block["panels"]]) for block in nest["blocks"]]
-    begun = [b for b in blocks if 0 < len(found.to_cut(b[1])) < len(b[1])]
+    begun = [b for b in blocks if len(found.to_cut(b[1])) < len(b[1]) or any(_apart(found, b[0])[1])]
     block, own = next(b for b in (*begun, *blocks) if found.to_cut(b[1]))
     rest = found.to_cut(own)
+    first, said = _job_next(found, block, rest)
     of = f"left over {block['left_over']}" if block["left_over"] else "a raw block"
     size = " x ".join(f"{v:g}" for v in block["size_mm"])
-    after = f", then {', '.join(rest[1:_MOST_NAMED])}" if len(rest) > 1 else ""
-    more = f" and {len(rest) - _MOST_NAMED} more" if len(rest) > _MOST_NAMED else ""
-    yield f"next to be cut: {rest[0]}{after}{more} of block {block['id']} ({of} of {size} mm)"
+    more = [one for one in rest if one not in first]
+    named = more[: max(_MOST_NAMED - len(first), 1)]
+    after = f", then {', '.join(named)}" if named else ""
+    after += f" and {len(more) - len(named)} more" if len(more) > len(named) else ""
+    together = f"{', '.join(first)}{' together' if len(first) > 1 else ''}"
+    yield f"next to be cut: {together}{after} of block {block['id']} ({of} of {size} mm){said}"
+
+
+def _job_next(found: Progress, block: Mapping[str, Any], rest: Sequence[str]) -> tuple[list[str], str]:
+    """The panels of a block that one job cuts next, and which jobs of the block come before."""
+    row = next((job for job in block.get("jobs", ()) if rest[0] in job.get("panels", ())), None)
+    left, done = _apart(found, block)
+    whole = len(rest) == len(block["panels"])  # else who marks panels alone has cut it apart
+    said = f"; before that, what cuts it apart: {', '.join(left)}" if left and (done or whole) else ""
+    if row is None:
+        return [rest[0]], said
+    return [one for one in rest if one in row["panels"]], f", by job {row['id']}{said}"
+
+
+def _apart(found: Progress, block: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """The jobs that cut a block apart: those that are left, and those that are done."""
+    names = [str(job["id"]) for job in block.get("jobs", ()) if "panels" not in job]
+    return found.to_cut(names), [name for name in names if name in found.rows]
 
 
 def _again(found: Progress, out: Path) -> Iterator[str]:
@@ -169,6 +238,7 @@ def _again(found: Progress, out: Path) -> Iterator[str]:
     pieces = list(stock_list.read(out / "stock.csv")) if broken else []
     of = {one["id"]: block for block in nest["blocks"] for one in block["panels"]}
     more = float(nest["oversize_mm"]) * MM
+    rows = {name for job in block_jobs(found.data).values() for name in job.get("panels", ())}
     uncut = [block["id"] for block in nest["blocks"] if found.to_cut([one["id"] for one in block["panels"]])]
 
     def later(piece: LeftOver) -> str:
@@ -191,10 +261,12 @@ def _again(found: Progress, out: Path) -> Iterator[str]:
             pieces.remove(best)
             size = " x ".join(f"{round(v / MM, 1):g}" for v in (best.length, best.width, best.thickness))
             when = f", once {later(best)} is cut" if later(best) else ""
-            yield f"{wanted}what is left over, {best.name} ({size} mm){when}"
+            source = f"what is left over, {best.name} ({size} mm){when}"
         else:
             size = " x ".join(f"{v:g}" for v in block["size_mm"])
-            yield f"{wanted}a raw block of {size} mm, as {block['id']} was: nothing left over holds it"
+            source = f"a raw block of {size} mm, as {block['id']} was: nothing left over holds it"
+        alone = f"; by itself, {AGAIN}/{panel['id']}.yaml" if panel["id"] in rows else ""
+        yield f"{wanted}{source}{alone}"
 
 
 def _as_block(piece: LeftOver) -> Block:

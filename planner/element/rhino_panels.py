@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from planner.element.element_page import row_of
+from planner.element.element_drawings import row_of
 from planner.geometry.mesh_files import objects
 from planner.report.markup import PALETTE
 from planner.report.rhino_file import Rgb, Shape, rhino

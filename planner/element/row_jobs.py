@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.element.element_file import Element, SawTemplate
-from planner.element.jobs import DIGITS, cut_minutes, filled, pose_mm, ruled
+from planner.element.jobs import DIGITS, cut_figures, filled, pose_mm, ruled
 from planner.element.nest import NestedBlock
 from planner.element.rows import BACKS, Bearer, Row
 from planner.element.saw_jobs import BESIDE, ENDS, SawJob, box, job_name, millimetres, problem_name
@@ -77,7 +77,7 @@ def _data(template: SawTemplate, row: Row, job: SawJob) -> dict[str, Any]:
         "size_mm": [millimetres(v) for v in job.size],
         "cuts": [],
         "panels": {name: pose_mm(place) for name, place in row.places.items()},
-        "cut_min": cut_minutes(template, way),
+        **cut_figures(template, way, 2 if row.faces else 1),
     }
 
 

@@ -16,6 +16,7 @@ from planner.report.markup import (
     Drawing,
     Facts,
     Figure,
+    Folded,
     Grid,
     Paragraph,
     Phrase,
@@ -29,6 +30,7 @@ HOUR: Final = 3600.0
 """[s]"""
 _BINS: Final = 24
 _MOST_NAMED: Final = 8  # panels in a table of the worst
+_FIRST_JOINTS: Final = 12  # that are seen at once, the worst first, and all that are over the limit
 
 
 def run_tiles(found: ElementRun) -> tuple[Tile, ...]:
@@ -129,7 +131,7 @@ def _worst_written(found: ElementRun) -> float:
     return max(float(panel.panel["off_surface_mm"]) for panel in found.panels)
 
 
-def joints_section(found: ElementRun) -> tuple[Paragraph | Grid, ...]:
+def joints_section(found: ElementRun) -> tuple[Paragraph | Grid | Folded, ...]:
     """Steps and gaps of the joints that are measured."""
     if not found.measured:
         return (Paragraph("No two neighbours are proven, so no joint is measured."),)
@@ -150,11 +152,13 @@ def joints_section(found: ElementRun) -> tuple[Paragraph | Grid, ...]:
             round(joint.largest / MM, 3),
             Tag("bad", "over") if joint.over else Tag("ok", "within"),
         )
-        for joint in sorted(found.measured, key=lambda joint: -joint.at_95)
+        for joint in sorted(found.measured, key=lambda joint: (not joint.over, -joint.at_95))
     ]
     heads = ("joint", "length mm", "at 95 % mm", "largest mm", "limit")
     spread = Figure("Points of all joints", bars(_all_steps(found), "step or gap [mm]"))
-    return Paragraph(words), Grid((table(heads, rows), spread), "two")
+    shown = max(_FIRST_JOINTS, sum(joint.over for joint in found.measured))
+    more = (Folded(f"{len(rows) - shown} more joints", table(heads, rows[shown:])),) if rows[shown:] else ()
+    return Paragraph(words), Grid((table(heads, rows[:shown]), spread), "two"), *more
 
 
 def bars(values: FloatArray, label: str) -> Drawing | Paragraph:

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.element.element_file import Element, SawTemplate, Template
-from planner.element.jobs import cut_minutes, filled
+from planner.element.jobs import cut_figures, filled
 from planner.element.nest import MOST_NAMED, NestedBlock, Nesting, PanelBlock, level_cuts, nearest
 from planner.geometry.cut_tree import Bow, Part, Stage
 from planner.geometry.units import MM
@@ -194,7 +194,7 @@ def _data(job: SawJob, template: Template) -> dict[str, Any]:
         "corner_mm": [millimetres(job.part.x), millimetres(job.part.y)],
         "size_mm": [millimetres(v) for v in job.size],
         "cuts": list(job.cuts),
-        "cut_min": cut_minutes(template, way),
+        **cut_figures(template, way),
     }
 
 

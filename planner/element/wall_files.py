@@ -4,6 +4,7 @@ table and a drawing of its panels, and all as data."""
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
@@ -15,11 +16,13 @@ from planner.element.element_file import Element, StripsElement, WallElement
 from planner.element.jobs import (
     block_mm,
     chosen_templates,
+    cut_figures,
     pose_mm,
     problem,
     problem_text,
     row_names,
     ruled,
+    ruled_way,
 )
 from planner.element.nest import PanelBlock
 from planner.element.output import finished, outline, table, weight_kg
@@ -145,7 +148,8 @@ def _folder(
         row = {**_row(element, panel, own, blocks[-1], place, template.file), **columns[k]}
         rows.append({**row, "neighbours": " ".join(dict.fromkeys(one for one in own.beyond if one))})
         drawn = {"neighbours": list(own.beyond), "outline_mm": np.round(np.array(own.ring), 2).tolist()}
-        data.append({**row, **drawn, **own.data, **bodies[k], "block_pose": pose_mm(panel.pose)})
+        takes = cut_figures(template, functools.partial(ruled_way, made))
+        data.append({**row, **drawn, **own.data, **bodies[k], **takes, "block_pose": pose_mm(panel.pose)})
     files["panels.csv"] = table(rows)
     files["panels.svg"] = _drawing(element, laid, names, told)
     files["element.obj"] = up.obj()

@@ -23,6 +23,8 @@ from planner.geometry.units import MM
 
 _PNG: Final = "data:image/png;base64,"
 """How the address of a PNG begins that lies in the page itself."""
+_NARROW: Final = 4
+"""So many columns of a table have room on a telephone."""
 CELL: Final = "the cell"
 """What the picture of a cell is called."""
 
@@ -378,7 +380,8 @@ def _table(shown: Table) -> str:
         f"<th{' class=n' if i in right else ''}>{text(c)}</th>" for i, c in enumerate(shown.columns)
     )
     inner = f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"
-    return f'<div class="scroll"><table>{inner}</table></div>'
+    keys = ' tabindex="0"' if len(shown.columns) > _NARROW else ""  # scrolled by arrow keys, too
+    return f'<div class="scroll"{keys}><table>{inner}</table></div>'
 
 
 def _number_class(cell: Phrase) -> str:
@@ -429,7 +432,7 @@ _ON_WHITE: Final = "".join(f"--c{k}:{colour};" for k, colour in enumerate(PALETT
 CSS: Final = (
     """
 :root{--bg:#f6f7f9;--card:#fff;--ink:#1b2330;--soft:#5a6678;--line:#e2e6ec;--grid:#e9edf2;--accent:#0f6e84;
---ok:#1a7f4b;--ok-bg:#e3f4ea;--bad:#c0352b;--bad-bg:#fbe7e5;--warn:#96650a;--warn-bg:#fcf1d9;
+--ok:#187a48;--ok-bg:#e3f4ea;--bad:#c0352b;--bad-bg:#fbe7e5;--warn:#92610a;--warn-bg:#fcf1d9;
 --note-bg:#e8eef6;
 """
     + _ON_WHITE
@@ -478,7 +481,7 @@ stroke-linejoin:round}
 .thin{fill:none;stroke-width:1.1;stroke-linejoin:round}.dashed{stroke-dasharray:4 3}
 .dot{fill:var(--c,currentColor);stroke:none}
 .edge{fill:none;stroke:var(--soft);stroke-width:1}.edge.back{stroke-dasharray:3 3;opacity:.55}
-.bar{fill:var(--c0);opacity:.75}
+svg .bar{fill:var(--c0);opacity:.75}
 .c0{stroke:var(--c0);--c:var(--c0)}.c1{stroke:var(--c1);--c:var(--c1)}.c2{stroke:var(--c2);--c:var(--c2)}
 .c3{stroke:var(--c3);--c:var(--c3)}.c4{stroke:var(--c4);--c:var(--c4)}.c5{stroke:var(--c5);--c:var(--c5)}
 .c6{stroke:var(--c6);--c:var(--c6)}.c7{stroke:var(--c7);--c:var(--c7)}

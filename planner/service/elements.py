@@ -1,5 +1,5 @@
-"""Building elements of the service: uploaded, divided by the queue's workers, their panels planned as jobs
-like any others, and what became of them.
+"""Building elements of the service: uploaded, divided by the queue's workers, their panels and the jobs of
+their raw blocks planned as jobs like any others, and what became of them.
 
 An element is the job that divides it; its files are what ``tandem element`` writes, and ``progress.csv``
 where panels are marked. The store has which jobs are those of its panels.
@@ -16,20 +16,20 @@ import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-from sqlalchemy import Connection, RowMapping, func, select
+from sqlalchemy import Connection, func, select
 
-from planner.batch.job import ELEMENT, PLANNED, PROBLEM, Done
+from planner.batch.job import ELEMENT, PLANNED, PROBLEM
 from planner.batch.neighbours import like_within
 from planner.element import progress
-from planner.issues import Issue, Severity, TandemError
-from planner.service import audit, idempotency
+from planner.element.nested_output import PROBLEMS
+from planner.issues import Issue, TandemError
+from planner.service import audit, element_problems, idempotency
+from planner.service.element_problems import Problem
 from planner.service.finding import Wanted
 from planner.service.idempotency import Once
 from planner.service.jobs import (
-    LAST_RELEASE,
-    PICTURED,
     NewJob,
     OfElement,
     job_files,
@@ -44,13 +44,11 @@ from planner.service.models import (
     JOBS,
     MARKS,
     OPEN,
-    RELEASES,
     ElementOut,
     ElementPanels,
     ElementReleases,
     JobOut,
     Mark,
-    PanelOut,
     PanelRefused,
     PanelRelease,
     Shown,
@@ -68,20 +66,14 @@ OF_PLANS: Final = ("plan.json", "plan.npz", "simulated_part.obj")
 """What a report reads of a panel's result."""
 AGAIN: Final = ("cancelled", "crashed")
 """Panels whose jobs ended so are planned with those that were not planned yet."""
+_PARTS: Final = tuple(f"{folder}/" for folder in ("problem", *PROBLEMS))
+"""Files of a division that problems are read from."""
 KEPT: Final = 8
 """So many elements' data are remembered."""
 
 
 _OUT: Final = set(ElementOut.model_fields)
 """What is told of an element without its panels."""
-
-
-class _Panel(NamedTuple):
-    """The last job of a panel."""
-
-    job: str
-    like: str | None
-    row: RowMapping
 
 
 class Elements:
@@ -172,15 +164,19 @@ class Elements:
         with self._database.read() as db:
             asked = select(ELEMENT_JOBS.c.about).where(ELEMENT_JOBS.c.job == element)
             about = str(db.execute(asked).scalar())
-            planned = _panels(db, element)
-            report = _report(db, element)
+            planned = element_problems.problems(db, element)
+            report = element_problems.report(db, element)
             files = job_files(db, element)
         _, job = self._jobs.get(element)  # behind the rest, which is none of one that is gone by now
         head = self._head(job, about, len(planned)).model_dump()
         if DATA not in files:
             return ElementPanels(**head)
         found, told = self._progress(files)
-        panels = [_panel(row, planned.get(str(row["id"])), found) for row in found.data["panels"]]
+        jobs = [
+            element_problems.block_job(job, planned, found)
+            for job in progress.block_jobs(found.data).values()
+        ]
+        panels = [element_problems.panel(row, planned, found) for row in found.data["panels"]]
         blocks = {
             one["id"]: block["id"]
             for block in (found.data.get("blocks") or {}).get("blocks", ())
@@ -188,11 +184,12 @@ class Elements:
         }
         panels = [one.model_copy(update={"block": blocks.get(one.id, "")}) for one in panels]
         minutes: Counter[str] = Counter()
-        for one in panels:
+        for one in (*panels, *jobs):
             minutes.update(one.cut_min)
         return ElementPanels(
             **head,
             panels=panels,
+            block_jobs=jobs,
             counts=dict(Counter([*(one.state for one in panels), *(one.mark for one in panels if one.mark)])),
             cut_h={arm: round(total / 60.0, 3) for arm, total in minutes.items()},
             told=told,
@@ -207,26 +204,28 @@ class Elements:
         reading: Reading,
         once: Once | None = None,
     ) -> Pieces[list[JobOut]]:
-        """Plan panels as jobs, those that are chosen or all that are not planned yet, each like one beside
-        it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
+        """Plan panels and jobs of raw blocks, those that are chosen or all that are not planned yet, each
+        panel like one beside it; raises :class:`RefusedError`, 404, 413, 422, 429, 499 or 507."""
         yield
         name, files = self._divided(element)
         data = self._data(files[DATA].sha)
         with self._database.read() as db:
-            before = _panels(db, element)
-        known = [str(row["id"]) for row in data["panels"]]
+            before = element_problems.problems(db, element)
+        panels = [str(row["id"]) for row in data["panels"]]
+        known = {str(row["id"]): "cut_in" not in row for row in data["panels"]}
+        known |= dict.fromkeys(progress.block_jobs(data), True)
         wanted = _wanted(known, before, chosen)
         if not wanted:
             return []
-        parts = {f: b for f, b in files.items() if f.startswith(("problem/", "panels/"))}
+        parts = {f: b for f, b in files.items() if f.startswith(_PARTS)}
         read = yield from self._service.examine_panels(parts, wanted, reading)
         with self._database.read() as db:  # others had their turns meanwhile
-            before = _panels(db, element)
+            before = element_problems.problems(db, element)
         wanted = [one for one in _wanted(known, before, chosen) if one in read]
         read = {one: read[one] for one in wanted}
         stored = self._service.stored(owner, read, parts, PROBLEM)
-        done = before.keys() - read.keys()
-        after = like_within(data, [one for one in known if one in done or one in read], done)
+        done = set(panels) & before.keys() - read.keys()
+        after = like_within(data, [one for one in panels if one in done or one in read], done)
         made: dict[str, NewJob] = {}
         keys = {one: panel.row["key"] for one, panel in before.items()}
         for one in _in_turn(wanted, after):
@@ -242,18 +241,21 @@ class Elements:
     def release(
         self, element: str, shown: Mapping[str, Shown], who: Who, name: str | None, note: str
     ) -> ElementReleases:
-        """Release the programs of panels by one act, each as it was ``shown``: those that are proven, not
-        released, and still what was shown; the others are refused by name. Raises :class:`RefusedError`: 404,
-        409 where none can be released, 422."""
-        self._divided(element)
+        """Release the programs of panels and of jobs of raw blocks by one act, each as it was ``shown``:
+        those that are proven, not released, and still what was shown; the others are refused by name. Raises
+        :class:`RefusedError`: 404, 409 where none can be released, 422."""
+        _, files = self._divided(element)
         with self._database.read() as db:
-            strange = sorted(shown.keys() - _panels(db, element).keys())
+            strange = sorted(shown.keys() - element_problems.problems(db, element).keys())
         if strange:
-            what = f"panels: got {_some(strange)}, of which no panel has a job here"
-            raise RefusedError(422, Issue("service.request", f"{what}; see its list", field="panels"))
+            what = f"panels: got {_some(strange)}, of which none has a job of its own here; see its list"
+            rows = {str(one["id"]): one.get("cut_in") for one in self._data(files[DATA].sha)["panels"]}
+            own = [f"{one} in {row['job']}" for one in strange if (row := rows.get(one)) is not None]
+            hint = f"cut together with others: {', '.join(own[:5])}; release that" if own else None
+            raise RefusedError(422, Issue("service.request", what, field="panels", hint=hint))
 
         def last(db: Connection) -> dict[str, str]:
-            return {panel: one.job for panel, one in _panels(db, element).items()}
+            return {panel: one.job for panel, one in element_problems.problems(db, element).items()}
 
         made, refused = self._service.releases.release_panels(element, shown, last, who, name, note)
         if not made:
@@ -289,7 +291,7 @@ class Elements:
         """Delete an element of which nothing was made: no panel was planned or marked. One that was deleted
         meanwhile is gone as well."""
         with self._database.read() as db:
-            used = _panels(db, element) or MARKS in job_files(db, element)
+            used = element_problems.problems(db, element) or MARKS in job_files(db, element)
         if used:
             return
         try:
@@ -318,7 +320,7 @@ class Elements:
             known = [] if once is None else idempotency.made(db, once)
             if known:
                 return job_out(job_row(db, known[0]))
-            panels = _panels(db, element)
+            panels = element_problems.problems(db, element)
             ended = {one: panel for one, panel in panels.items() if panel.row["state"] not in OPEN}
             if not ended:
                 what = f"element {name}: no panel was planned to its end; plan panels, and ask again"
@@ -327,11 +329,13 @@ class Elements:
             for one, panel in ended.items():
                 own = job_files(db, panel.job)
                 given |= {f"problem/run/{one}/{f}": own[f] for f in OF_PLANS if f in own}
-            old = _report(db, element)
+            old = element_problems.report(db, element)
             if old is not None and old.state not in OPEN:
                 for gone in remove(db, old.id):
                     audit.note(self._database, db, owner, "deleted", gone.id, {"name": gone.name})
-        text = json.dumps([_done(one, panel.row).to_dict() for one, panel in ended.items()]).encode()
+        text = json.dumps(
+            [element_problems.done(one, panel.row).to_dict() for one, panel in ended.items()]
+        ).encode()
         (listed,) = self._service.storage.put(owner, [io.BytesIO(text)])
         given[f"problem/{PLANNED}"] = listed
         rows = json.dumps(sorted((file, blob.sha) for file, blob in given.items()))
@@ -376,65 +380,23 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(repr(one[:32]) for one in names[:5])
 
 
-def _panels(db: Connection, element: str) -> dict[str, _Panel]:
-    """The last job of each panel that was planned, by its id."""
-    asked = (
-        select(JOBS, PICTURED, ELEMENT_JOBS.c.panel, ELEMENT_JOBS.c.like)
-        .add_columns(RELEASES.c.withdrawn, RELEASES.c.number)
-        .join_from(ELEMENT_JOBS, JOBS, ELEMENT_JOBS.c.job == JOBS.c.id)
-        .outerjoin(RELEASES, LAST_RELEASE)
-        .where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "panel", JOBS.c.cancel <= CANCELLED)
-        .order_by(JOBS.c.created, JOBS.c.id)
-    )
-    return {row["panel"]: _Panel(row["id"], row["like"], row) for row in db.execute(asked).mappings()}
-
-
-def _report(db: Connection, element: str) -> JobOut | None:
-    own = select(ELEMENT_JOBS.c.job).where(ELEMENT_JOBS.c.element == element, ELEMENT_JOBS.c.role == "report")
-    found = db.execute(select(JOBS.c.id).where(JOBS.c.id.in_(own)).order_by(JOBS.c.created.desc())).scalar()
-    return None if found is None else job_out(job_row(db, found, deleted_too=True))
-
-
-def _panel(row: Mapping[str, Any], planned: _Panel | None, found: progress.Progress) -> PanelOut:
-    name = str(row["id"])
-    known: dict[str, Any] = {}
-    if planned is not None:
-        job = planned.row
-        issues = [Issue.from_dict(one) for one in json.loads(job["issues"])]
-        wrong = [one for one in issues if one.severity is Severity.ERROR]
-        known = {"job": planned.job, "state": job["state"], "stage": job["stage"]}
-        known["digest"] = job["digest"]
-        if job["state"] == "verified":
-            held = "released" if job["withdrawn"] is None else "withdrawn"
-            known["release"] = "not-released" if job["number"] is None else held
-        known["cycle_s"] = json.loads(job["metrics"]).get("cycle_s")
-        known["thumbnail"] = bool(job["thumbnail"])
-        known["issue"] = wrong[0] if wrong and job["state"] != "verified" else None
-    return PanelOut(
-        id=name,
-        order=int(row["order"]) if "order" in row else None,
-        block_mm=[float(row[f"block_{axis}_mm"]) for axis in "xyz"],
-        cut_min={str(arm): float(value) for arm, value in row.get("cut_min", {}).items()},
-        mark=found.state(name),
-        **known,
-    )
-
-
-def _done(panel: str, row: RowMapping) -> Done:
-    """How a panel's job ended."""
-    issues = tuple(Issue.from_dict(one) for one in json.loads(row["issues"]))
-    return Done(panel, row["state"], issues, json.loads(row["metrics"]), row["seconds"] or 0.0)
-
-
-def _wanted(known: Sequence[str], before: Mapping[str, _Panel], chosen: Sequence[str] | None) -> list[str]:
-    """Panels to be planned, in the element's order, none twice at once; raises :class:`RefusedError`, 422,
-    for ids that it does not have."""
+def _wanted(
+    known: Mapping[str, bool], before: Mapping[str, Problem], chosen: Sequence[str] | None
+) -> list[str]:
+    """Panels and jobs of raw blocks to be planned, in the order of those that are ``known``, none twice at
+    once; where none is chosen, those that are not cut by another one's job. Raises :class:`RefusedError`,
+    422, for ids that the element does not have."""
     if chosen is None:
-        return [one for one in known if one not in before or before[one].row["state"] in AGAIN]
-    strange = sorted(set(chosen) - set(known))
+        return [
+            one
+            for one, own in known.items()
+            if own and (one not in before or before[one].row["state"] in AGAIN)
+        ]
+    strange = sorted(set(chosen) - known.keys())
     if strange:
-        what = f"panels: got {_some(strange)}, the element has {len(known)} panels "
-        what += f"from {known[0]} to {known[-1]}; see its list"
+        names = list(known)
+        what = f"panels: got {_some(strange)}, the element has {len(names)} panels and jobs of raw blocks "
+        what += f"from {names[0]} to {names[-1]}; see its list"
         raise RefusedError(422, Issue("service.request", what, field="panels"))
     waiting = {one for one, panel in before.items() if panel.row["state"] in OPEN}
     return [one for one in known if one in set(chosen) - waiting]

@@ -150,8 +150,8 @@ ELEMENT_JOBS: Final = Table(
     Column("about", Text, nullable=False, default="{}"),
 )
 """Jobs of building elements, by ``role``: ``division``, by whose job the element is called and which has
-``about`` it what may be changed; ``panel``, that plans the panel of that id, ``like`` the job of one beside
-it; ``report`` on what was planned."""
+``about`` it what may be changed; ``panel``, that plans the panel or the job of a raw block of that id,
+``like`` the job of one beside it; ``report`` on what was planned."""
 
 EVENTS: Final = Table(
     "tandem_events",
@@ -440,7 +440,7 @@ def shown(url: str) -> str:
     return url.split("@")[-1].split("?")[0]
 
 
-API: Final = 16
+API: Final = 17
 """Number of the interface under ``/v1``: one more when something is added. 2: links. 3: elements, motions as
 data. 4: readiness, jobs that are tried again. 5: first looks, lists that are known.
 6: keys of requests that are done once. 7: webhooks. 8: roles and teams of tokens. 9: releases. 10: the audit
@@ -448,7 +448,7 @@ log. 11: titles, tags and notes, search, deleting many. 12: what a cell looks li
 13: drafts, the order of the queue, sweeps, estimates of what is left, links to look. 14: pages of drafts, and
 which of them were sent, releases of panels, several problems at once, titles of elements.
 15: pictures for lists, titles of drafts that go with the name of the problem. 16: scopes of tokens, pictures
-of panels, first looks at coarser paths."""
+of panels, first looks at coarser paths. 17: jobs of raw blocks of elements."""
 OLDEST_API: Final = 1
 """Clients that were made for this number or a later one are served; one more when something goes."""
 State = Literal[
@@ -626,7 +626,7 @@ class ElementOut(JobOut):
     fields: dict[str, float | list[float]] = Field(
         {}, description="what may be changed, by its place in the element file, as it is"
     )
-    planned: int = Field(0, description="panels that were given to the planner")
+    planned: int = Field(0, description="panels and jobs of raw blocks that were given to the planner")
 
 
 class ElementList(Sent):
@@ -636,13 +636,10 @@ class ElementList(Sent):
     next: str | None = None
 
 
-class PanelOut(Sent):
-    """A panel of an element and what became of it."""
+class PlannedOut(Sent):
+    """A problem of an element and what became of it."""
 
     id: str
-    order: int | None = Field(None, description="when it is put in, from 1")
-    block_mm: list[float] = Field(description="its block")
-    block: str = Field("", description="the raw block that this is cut from")
     cut_min: dict[str, float] = Field({}, description="estimate of the cuts alone [min], by arm")
     job: str | None = Field(None, description="the job that plans it")
     digest: str | None = Field(None, description="SHA-256 over the values and files of its problem")
@@ -654,13 +651,36 @@ class PanelOut(Sent):
     cycle_s: float | None = Field(None, description="time from first to last target [s]")
     thumbnail: bool = Field(False, description="whether its job has the file thumbnail.png")
     issue: Issue | None = Field(None, description="the first of what stands in its way")
+
+
+class PanelOut(PlannedOut):
+    """A panel of an element. One that is ``cut_in`` a job together with others has job and state of that."""
+
+    order: int | None = Field(None, description="when it is put in, from 1")
+    block_mm: list[float] = Field(description="its block")
+    block: str = Field("", description="the raw block that this is cut from")
+    cut_in: str | None = Field(
+        None, description="the job of a raw block that cuts it together with others, until it has its own"
+    )
     mark: Mark | None = None
+
+
+class BlockJobOut(PlannedOut):
+    """A job that cuts a raw block apart, or several panels out of a part of it, together."""
+
+    block: str = Field(description="the raw block")
+    said: str = Field(description="what of the block it cuts, and how that lies")
+    panels: list[str] = Field([], description="those that it cuts; none where it cuts the block apart")
+    mark: Literal["cut"] | None = Field(None, description="done: of panels, when all of them are marked")
 
 
 class ElementPanels(ElementOut):
     """An element with its panels, once it is divided."""
 
     panels: list[PanelOut] = []
+    block_jobs: list[BlockJobOut] = Field(
+        [], description="jobs of raw blocks, those of a block in the order in which it is cut"
+    )
     counts: dict[str, int] = Field({}, description="panels by state, and by mark")
     cut_h: dict[str, float] = Field({}, description="estimate of all cuts [h], by arm")
     told: list[str] = Field([], description="how far it is made, what to cut and to glue next")
@@ -675,14 +695,16 @@ class Change(Sent):
 
 
 class Chosen(Sent):
-    """Panels by their ids; none: all that are not planned yet."""
+    """Panels and jobs of raw blocks by their ids; none: all that are not planned yet, each panel that is cut
+    together with others by its row."""
 
     model_config = ConfigDict(extra="forbid")
     panels: list[str] | None = Field(None, max_length=10_000)
 
 
 class Marking(Sent):
-    """A panel and what it is now; ``open`` takes its mark away."""
+    """A panel and what it is now; ``open`` takes its mark away. The id of a job of a raw block stands for all
+    panels that it cuts, or where it cuts the block apart, for itself."""
 
     model_config = ConfigDict(extra="forbid")
     panel: str = Field(max_length=32)

@@ -35,6 +35,7 @@ from planner import plans, processes
 from planner.batch.job import ELEMENT, PROBLEM
 from planner.element import element_file
 from planner.element.element_file import ElementFile
+from planner.element.nested_output import PROBLEMS
 from planner.files import FILE_KEYS, base_name, carried_name
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
 from planner.geometry.thinning import thinned
@@ -55,7 +56,7 @@ PROCESS: Final = "targets"
 MOST: Final = 3000
 """Bars of one way; of longer ones some poses are left out."""
 DIVIDED_BY: Final = {
-    "elastic": ("tolerance_mm",),
+    "elastic": ("tolerance_mm", "joint_mm"),
     "hexagons": ("count", "off_surface_mm"),
     "boxes": ("least_height_mm",),
     "puzzle": ("lobe_mm", "cells"),
@@ -623,14 +624,14 @@ def _fields(spec: ElementFile) -> dict[str, Any]:
 
 
 def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str]) -> list[Examined]:
-    """Panels of a divided element by their ids as problems that stand alone; ``files`` of the element's job,
-    by name. Their targets are made when they are planned."""
+    """Panels and jobs of raw blocks of a divided element by their ids as problems that stand alone; ``files``
+    of the element's job, by name. Their targets are made when they are planned."""
     for name, path in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         _link_or_copy(path, folder / name)
     out = []
     for panel in panels:
-        path = folder / "panels" / f"{panel}.yaml"
+        path = next(path for one in PROBLEMS if (path := folder / one / f"{panel}.yaml").is_file())
         source = problem_file.resolved(strict_yaml.read(path).data, path.parent)
         stored = problem_file.packed(source)
         text = stored.pop(PROBLEM).decode()

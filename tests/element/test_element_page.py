@@ -96,6 +96,14 @@ def test_the_page_shows_all_panels_blocks_totals_and_an_estimate_and_needs_no_ne
     names = [panel["id"] for panel in data["panels"]]
     drawing = page[page.index('aria-label="panels"') : page.index("</svg>")]
     assert all(f">{name}<" in drawing for name in names)
+    behind = page[page.index('aria-label="panels from behind"') :]
+    behind = behind[: behind.index("</svg>")]
+    places = r'<text x="([0-9.]+)" y="([0-9.]+)"[^>]*>{}<'
+    for name in names:  # left and right change places, up and down do not
+        (x, y), (other, also) = (
+            map(float, re.findall(places.format(name), one)[0]) for one in (drawing, behind)
+        )
+        assert (x + other, y) == pytest.approx((1000.0, also), abs=40.0)
     rows = page[page.index('id="panels"') :]
     assert all(f"<td>{name}</td>" in rows for name in names)
     assert not re.search(r"(src|href)=\"(?!#|data:)", page)
@@ -112,6 +120,9 @@ def test_the_page_shows_all_panels_blocks_totals_and_an_estimate_and_needs_no_ne
         assert nest["yield_volume"] == pytest.approx(share, abs=1e-3)
         assert f"{100 * share:.0f} % are panels" in page
     assert all(issue["code"] in page for issue in data["issues"])
+    metres = 0.06 * hours * 60.0 * (6.0 if "hexagon" in out.parent.name else 8.0)
+    assert re.search(rf"wire through foam</\w+>.*?{metres:.0f} m<", page)
+    assert f"{len(names)} in {len(names)} jobs: to bring foam" in page
 
 
 def test_the_estimate_is_the_way_of_the_wire_at_its_feed(out: Path) -> None:

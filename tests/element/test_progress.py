@@ -172,3 +172,57 @@ def test_mark_is_a_word_of_the_command(out: Path, monkeypatch: pytest.MonkeyPatc
         command_line.main()
     assert ended.value.code == 0
     assert rows_of(out)[0]["state"] == "cut"
+
+
+def test_jobs_of_raw_blocks_are_marked_with_the_panels_that_they_cut(tmp_path: Path) -> None:
+    panels = [
+        {"id": f"P{n}", "order": n, "block_x_mm": 9, "block_y_mm": 9, "block_z_mm": 9} for n in range(6)
+    ]
+    jobs = [
+        {"id": "B1", "size_mm": [60, 30, 9]},
+        {"id": "B1-2", "size_mm": [30, 30, 9], "panels": {"P0": [], "P1": [], "P2": []}},
+    ]
+    block = {"left_over": None, "size_mm": [60, 30, 9], "foam": "f"}
+    blocks = [
+        {**block, "id": "B1", "panels": [{"id": f"P{n}"} for n in range(4)], "jobs": jobs},
+        {**block, "id": "B2", "panels": [{"id": f"P{n}"} for n in (4, 5)], "jobs": []},
+    ]
+    nest = {"blocks": blocks, "oversize_mm": 0, "turned": True}
+    data = {"name": "e", "panels": panels, "blocks": nest}
+    (tmp_path / "element.json").write_text(json.dumps(data))
+    (tmp_path / "stock.csv").write_text("id,length_mm,width_mm,thickness_mm,foam\n")
+    said = "next to be cut: P0, P1, P2 together, then P3 of block B1 (a raw block of 60 x 30 x 9 mm)"
+    said += ", by job B1-2"
+    assert f"{said}; before that, what cuts it apart: B1" in lines(tmp_path)
+
+    def marks() -> dict[str, str]:
+        return {row["id"]: row["state"] for row in rows_of(tmp_path)}
+
+    mark(tmp_path, "P4", "cut")  # what is begun comes first
+    assert "next to be cut: P5 of block B2" in lines(tmp_path)
+    mark(tmp_path, "P5", "cut")
+    mark(tmp_path, "B1", "cut")
+    assert lines(tmp_path).splitlines()[1] == said
+    mark(tmp_path, "P1", "glued")
+    mark(tmp_path, "P0", "broken")
+    mark(tmp_path, "B1-2", "cut")
+    assert marks() == {"P0": "broken", "P1": "glued", "P2": "cut", "P4": "cut", "P5": "cut", "B1": "cut"}
+    assert "next to be cut: P3 of block B1 (a raw block of 60 x 30 x 9 mm)" in lines(tmp_path).splitlines()
+    assert "P0 again, 9 x 9 x 9 mm: from a raw block" in lines(tmp_path)
+    assert lines(tmp_path).endswith("; by itself, again/P0.yaml")
+    mark(tmp_path, "B1-2", "broken")  # the row fell down: what is glued is not
+    assert [marks()[name] for name in ("P0", "P1", "P2")] == ["broken", "glued", "broken"]
+    run_element_mark(ElementMark(tmp_path, "P2", "open"))
+    run_element_mark(ElementMark(tmp_path, "B1", "open"))
+    assert marks().keys() == {"P0", "P1", "P4", "P5"}
+    with pytest.raises(TandemError, match="a job that cuts block B1 apart; allowed are cut and open"):
+        mark(tmp_path, "B1", "glued")
+    mark(tmp_path, "B1", "cut")
+    jobs[0]["size_mm"] = [60, 40, 9]
+    (tmp_path / "element.json").write_text(json.dumps(data))
+    (told,) = progress.issues(progress.read(tmp_path))
+    assert "have blocks of another size now: B1" in told.message
+    jobs[0]["panels"] = {"P3": []}  # divided anew, it cuts a panel
+    (tmp_path / "element.json").write_text(json.dumps(data))
+    run_element_mark(ElementMark(tmp_path, "B1", "open"))
+    assert progress.issues(progress.read(tmp_path)) == ()

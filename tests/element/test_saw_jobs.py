@@ -17,7 +17,7 @@ from planner.batch import run as batch
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
 from planner.element import element_file
 from planner.issues import TandemError
-from tests.element.shells import shell
+from tests.element.shells import cap, shell
 from tests.element.test_run_report import data_of
 from tests.element.walls import ROOT
 from tests.test_plans import some_plan
@@ -46,6 +46,23 @@ def sawn_shell(folder: Path, template: Any = SAW, **changes: Any) -> Path:
     path = shell(folder, **given)
     (folder / "saw.yaml").write_text(yaml.safe_dump(template))
     return path
+
+
+def together(folder: Path, **changes: Any) -> list[Path]:
+    """The files of a small shell as a user has them on disk, the element file first; its 24 panels are cut
+    together, three out of each raw block."""
+    (saw,) = SAW["operations"]
+    bow = {"robot": {"kind": "bow", "span_mm": 1300, "throat_mm": 1300}}
+    template = {**SAW, "operations": [{**saw, "setup": {"tools": bow}}]}
+    given = {"mesh": cap(n=9), "hexagons": {"count": 24, "off_surface_mm": 60}, "foam_sides_mm": 14}
+    cut = {"problem": "saw.yaml", "together": True}
+    path = sawn_shell(folder, template, cut_blocks=cut, **given, **changes)
+    cells = []
+    for one in ("held.yaml", "saw.yaml"):
+        data = yaml.safe_load((folder / one).read_text())
+        cells.append(Path(data["cell"]))
+        (folder / one).write_text(yaml.safe_dump({**data, "cell": cells[-1].name}))
+    return [path, *(folder / one for one in ("shell.obj", "held.yaml", "saw.yaml")), *cells]
 
 
 @pytest.fixture(scope="module")

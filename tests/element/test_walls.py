@@ -172,6 +172,25 @@ def excess(file: str) -> tuple[int, float]:
     return len(panels), len(rows) * 75.0 - shell
 
 
+def test_what_panels_take_is_told_before_they_are_planned(boxes: dict[str, str]) -> None:
+    """Metres along all surfaces that are cut, half-way between their lines, at 6 mm/s; one stop to bring the
+    foam, one to move it."""
+    for row in json.loads(boxes["element.json"])["panels"][:3]:
+        data = yaml.safe_load(boxes[f"panels/{row['id']}.yaml"])
+        ways = {
+            one["name"]: sum(
+                0.5e-3 * np.linalg.norm(np.diff(one[side]["polyline_mm"], axis=0), axis=1).sum()
+                for side in ("start", "end")
+            )
+            for one in data["part"]["ruled"]
+        }
+        cuts = [cut["surface"] for operation in data["operations"] for cut in operation["cuts"]]
+        assert len(cuts) == 6
+        assert row["cut_m"] == pytest.approx(sum(ways[name] for name in cuts), abs=1e-3)
+        assert row["cut_min"]["robot"] == pytest.approx(row["cut_m"] / 0.006 / 60.0, abs=1e-3)
+        assert row["stops"] == 2
+
+
 @pytest.mark.long
 def test_boxes_take_at_most_three_fifths_of_the_pieces_and_half_the_excess_of_the_puzzle() -> None:
     """The dissertation claims half of both for its wall, of 108 puzzle pieces."""

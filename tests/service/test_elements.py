@@ -24,7 +24,7 @@ from planner.service.jobs import put_files
 from planner.service.models import JOBS
 from planner.service.security import Auth, Limits
 from tests.element.shells import cap, shell
-from tests.element.test_saw_jobs import SAW
+from tests.element.test_saw_jobs import SAW, together
 from tests.service.support import ROOT, InProcess, Team, codes, named
 
 NO_REACH = Issue("motion.no_reach", "a target of the pretended plan is too far")
@@ -465,6 +465,78 @@ def test_raw_blocks_have_jobs_with_what_their_template_names(here: Elements, tmp
     jobs = [name for name in names if name.startswith("blocks/")]
     problem = yaml.safe_load(here.http.get(f"/v1/jobs/{found['id']}/files/{jobs[0]}").text)
     assert problem["cell"]["arms"][0]["robot"] == "irb4600_40"
+
+
+def test_jobs_of_raw_blocks_are_jobs_and_panels_are_those_of_their_rows(
+    here: Elements, tmp_path: Path
+) -> None:
+    element_file, *others = together(tmp_path, name="rows")
+    files = [("problem", (element_file.name, element_file.read_bytes()))]
+    files += [("files", (path.name, path.read_bytes())) for path in others]
+    posted = here.http.post("/v1/elements", files=files)
+    assert posted.status_code == 201, posted.text
+    element = here.divided(posted.json()["id"])
+    address = f"/v1/elements/{element['id']}"
+    jobs = {one["id"]: one for one in element["block_jobs"]}
+    rows = [one for one in element["block_jobs"] if one["panels"]]
+    assert sorted(panel for row in rows for panel in row["panels"]) == [
+        one["id"] for one in element["panels"]
+    ]
+    row, other = rows[:2]
+    apart = next(one["id"] for one in element["block_jobs"] if not one["panels"])
+    cut_in = {one["id"]: one["cut_in"] for one in element["panels"]}
+    assert {cut_in[panel] for panel in row["panels"]} == {row["id"]}
+    assert element["cut_h"]["robot"] == pytest.approx(
+        sum(one["cut_min"]["robot"] for one in jobs.values()) / 60.0, abs=1e-3
+    )
+    here.dividing.no_reach.add(f"rows-{other['id']}")
+    (bad,) = here.http.post(f"{address}/plan", json={"panels": [other["id"]]}).json()["jobs"]
+    here.ended(bad["id"])
+    report = here.http.post(f"{address}/report").json()["id"]
+    assert here.ended(report)["state"] == "done"
+    table = here.http.get(f"/v1/jobs/{report}/files/report.csv").text
+    assert f"{other['panels'][0]},infeasible" in table
+    some = [apart, row["id"]]
+    made = here.http.post(f"{address}/plan", json={"panels": some}).json()["jobs"]
+    assert sorted(one["name"] for one in made) == sorted(f"rows-{one}" for one in some)
+    for one in made:
+        here.ended(one["id"])
+    given = here.dividing.given
+    (sent,) = (files for name, files in given.items() if name.startswith(f"rows-{row['id']}-"))
+    assert yaml.safe_load(sent["problem.yaml"])["name"] == f"rows_{row['id'].replace('-', '_')}"
+
+    def panels() -> dict[str, dict[str, Any]]:
+        return {one["id"]: one for one in here.http.get(address).json()["panels"]}
+
+    first, *rest = row["panels"]
+    assert {panels()[one]["state"] for one in row["panels"]} == {"verified"}
+    assert {panels()[one]["issue"]["code"] for one in other["panels"]} == {"motion.no_reach"}
+    left = len(jobs) - 3
+    assert len(here.http.post(f"{address}/plan", json={}).json()["jobs"]) == left
+    for one in here.http.get("/v1/jobs?limit=200").json()["jobs"]:
+        here.ended(one["id"])
+
+    shown = {"job": panels()[first]["job"], "digest": "0" * 64}
+    refused = here.http.post(f"{address}/release", json={"panels": {first: shown}, "name": "Ann"})
+    assert refused.status_code == 422
+    assert f"{first} in {row['id']}; release that" in refused.json()["issues"][0]["hint"]
+    now = {one["id"]: one for one in here.http.get(address).json()["block_jobs"]}
+    shown = {"job": now[row["id"]]["job"], "digest": now[row["id"]]["digest"]}
+    released = here.http.post(f"{address}/release", json={"panels": {row["id"]: shown}, "name": "Ann"})
+    assert released.status_code == 201
+    assert panels()[first]["release"] == "released"
+
+    here.http.post(f"{address}/mark", json={"panel": first, "state": "broken"})
+    marked = here.http.post(f"{address}/mark", json={"panel": row["id"], "state": "cut"}).json()
+    marks = {one["id"]: one.get("mark") for one in marked["panels"]}
+    assert [marks[one] for one in row["panels"]] == ["broken", *("cut" for _ in rest)]
+    assert next(one for one in marked["block_jobs"] if one["id"] == row["id"])["mark"] == "cut"
+    (again,) = (line for line in marked["told"] if line.startswith(f"{first} again"))
+    assert f"again/{first}.yaml" in again
+    (own,) = here.http.post(f"{address}/plan", json={"panels": [first]}).json()["jobs"]
+    assert here.ended(own["id"])["state"] == "verified"
+    assert (panels()[first]["job"], panels()[first].get("cut_in")) == (own["id"], None)
+    assert panels()[rest[0]]["job"] == now[row["id"]]["job"]
 
 
 @pytest.mark.parametrize("name", ["../shell.obj", "/etc/shell.obj", "..\\shell.obj", "a/../../shell.obj"])

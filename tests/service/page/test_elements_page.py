@@ -11,6 +11,7 @@ import yaml
 from playwright.sync_api import Page, Route, expect
 
 from tests.element.shells import cap, shell
+from tests.element.test_saw_jobs import together
 
 COUNT = 24
 
@@ -114,3 +115,28 @@ def test_an_element_is_divided_by_sliders_and_ticked_off(page: Page, server: str
     other.wait_for_url("**/ui/elements")
     expect(page.locator("#banner")).to_contain_text("there no more")
     expect(page.get_by_role("button", name="A01 cut")).to_be_disabled()
+
+
+def test_jobs_of_raw_blocks_are_ticked_off_with_their_panels(page: Page, server: str, tmp_path: Path) -> None:
+    upload(page, server, together(tmp_path))
+    made = re.fullmatch("Make jobs of all ([0-9]+)", page.locator("#plan").inner_text())
+    assert made is not None
+    row = page.locator("#block-jobs li").filter(has_text=" together").first
+    job = row.locator("b").inner_text()
+    names = re.findall(r"\b[A-C][0-9]{2}", row.locator(".sub").inner_text())
+    expect(page.locator("#told")).to_contain_text(f"{', '.join(names)} together of block")
+    first = page.locator(f'[data-panel="{names[0]}"]')
+    expect(first).to_contain_text(f"cut in {job} with others")
+    expect(first.get_by_role("button", name="job", exact=False)).to_have_count(0)  # it has none of its own
+    page.get_by_role("button", name=f"{names[0]} broken").click()
+    cut = row.get_by_role("button", name=f"Job {job} cut")
+    cut.press("Enter")
+    expect(cut).to_have_attribute("aria-pressed", "true")
+    expect(page.get_by_role("button", name=f"{names[1]} cut")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#told")).to_contain_text(f"again/{names[0]}.yaml")
+    page.get_by_role("button", name=f"Make own job of {names[0]}").press("Enter")
+    expect(page.get_by_role("link", name=f"Job of {names[0]}")).to_be_focused()
+    expect(first).not_to_contain_text("with others")
+    page.get_by_role("button", name="Stop what waits").click()
+    left = int(made[1]) + 1  # what was stopped, too
+    expect(page.locator("#plan")).to_have_text(f"Make jobs of all {left}")

@@ -257,7 +257,7 @@ def test_an_element_has_a_title_and_its_proven_panels_are_released_by_one_act(
     row = page.locator('[data-panel="A01"]')
     expect(row).to_contain_text("not released")
     page.get_by_role("button", name="Release 2 proven panels").click()
-    ask = page.get_by_role("dialog", name="Release the programs of these panels?")
+    ask = page.get_by_role("dialog", name="Release these programs?")
     expect(ask.locator("#release-count")).to_have_text(
         f"2 panels; {COUNT - 2} others not: not proven, released already, or withdrawn."
     )

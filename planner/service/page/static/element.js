@@ -1,6 +1,7 @@
 // One building element: divided as its sliders say, its panels as jobs, and the list that is ticked off.
 import { fileOf, json, post, Refused, remove, Unreachable } from "./api.js";
 import { ask } from "./ask.js";
+import { drawBlockJobs } from "./block_jobs.js";
 import { banner, ready, tell } from "./common.js";
 import { drawDescription, setUpDescription } from "./describe.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
@@ -8,7 +9,8 @@ import { atFields, goTo, issueItem, placeOf, sorted } from "./issues.js";
 import { badge } from "./outcome.js";
 import { pictureOf } from "./thumbnail.js";
 import { COLOURS, PanelView } from "./panel_view.js";
-import { drawReleasePanels, released, setUpReleasePanels } from "./release_panels.js";
+import { problemsOf, redrawn, stateOf, stateWords, workOf } from "./planned.js";
+import { drawReleasePanels, setUpReleasePanels } from "./release_panels.js";
 import { Sliders } from "./sliders.js";
 import { ago, bytes, duration, isOpen, number, plural } from "./words.js";
 
@@ -40,7 +42,6 @@ let lost = false; // the service was out of reach
 const path = () => `/v1/elements/${encodeURIComponent(id)}`;
 const send = (what, body) => post(`${path()}/${what}`, { body: JSON.stringify(body) });
 const divided = () => element.state === "done";
-const stateOf = (panel) => (isOpen(panel.state) ? "open" : panel.state === "not_planned" || panel.state === "cancelled" ? "not_planned" : panel.state === "verified" ? "verified" : "refused");
 const kindOf = (panel) => panel.mark ?? stateOf(panel);
 const inGroup = (panel, name) => name === "all" || (name in MARKS ? panel.mark === name : name === "uncut" ? !panel.mark : stateOf(panel) === name);
 
@@ -73,6 +74,7 @@ async function drawData() {
   if (of !== id) return;
   const before = data;
   [data, drawn, shownList] = [found, of, ""];
+  show($("element"), true); // the view is fitted into a canvas that has its size
   viewer.show(data, before !== null);
   show($("view-empty"), !viewer.works);
   if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); the list below has all panels.";
@@ -86,21 +88,23 @@ function draw() {
   badge(element.state, $("state"));
   const panels = element.panels ?? [];
   $("facts").textContent = [element.title ? element.name : null, divided() ? plural(panels.length, "panel") : null, element.kind, `made ${ago(element.created)}`].filter(Boolean).join(" · ");
-  const left = panels.filter((panel) => stateOf(panel) === "not_planned").length;
+  const problems = problemsOf(element);
+  const left = problems.filter((one) => stateOf(one) === "not_planned").length;
   $("plan").disabled = !left || planning;
-  $("plan").textContent = planning ? "Making jobs …" : left && left < panels.length ? `Make jobs of the other ${left}` : left ? `Make jobs of all ${left}` : "All panels have jobs";
-  const open = panels.filter((panel) => isOpen(panel.state)).length;
+  $("plan").textContent = planning ? "Making jobs …" : left && left < problems.length ? `Make jobs of the other ${left}` : left ? `Make jobs of all ${left}` : "All panels have jobs";
+  const open = problems.filter((one) => isOpen(one.state)).length;
   const reporting = element.report && isOpen(element.report.state);
-  $("report").disabled = reporting || !panels.some((panel) => panel.job && !isOpen(panel.state));
+  $("report").disabled = reporting || !problems.some((one) => one.job && !isOpen(one.state));
   $("report").textContent = reporting ? "The report is being written …" : "Report on what is planned";
   show($("cancel"), open > 0 || isOpen(element.state));
-  drawReleasePanels(panels);
-  const made = panels.some((panel) => panel.job || panel.mark);
+  drawReleasePanels(problems);
+  const made = [...panels, ...problems].some((one) => one.job || one.mark);
   show($("keeps"), made);
   $("keeps").textContent = made ? "Panels of it are planned or marked. A change makes another element beside this one; marks go along, jobs stay here." : "";
   drawVerdict();
   drawView();
   drawFoam();
+  drawBlockJobs(element.block_jobs ?? [], { plan, tick });
   drawList();
 }
 
@@ -119,6 +123,7 @@ function drawVerdict() {
   else if (wrong) say("bad", icon("cross"), element.state === "cancelled" ? "Stopped before it was divided" : "It cannot be divided so");
   else say(issues.length ? "warn" : "ok", icon(issues.length ? "warning" : "check"), `${plural((element.panels ?? []).length, "panel")}${issues.length ? `, with ${plural(issues.length, "remark")}` : ""}`);
   $("canvas").parentElement.classList.toggle("past", busy || drawn !== id);
+  if (!data) $("view-empty").textContent = wrong ? "Nothing to draw: what stands in the way is told beside the figures." : "The panels appear here when the element is divided.";
   const key = JSON.stringify([issues, busy]);
   if ($("issues").dataset.shown === key) return;
   $("issues").dataset.shown = key;
@@ -136,7 +141,6 @@ function drawView() {
   $("canvas").setAttribute("aria-label", `3D view of ${data ? plural(data.panels.length, "panel") : "nothing yet"}${found ? `; ${found.id} is chosen` : ""}`);
 }
 
-const stateWords = (panel) => ({ open: panel.state === "running" ? `planning${panel.stage ? `, ${panel.stage}` : ""}` : "waiting", not_planned: panel.state === "cancelled" ? "cancelled" : "not planned", verified: "verified", refused: "refused" })[stateOf(panel)];
 const words = (panel) => [panel.mark, stateWords(panel), `block ${panel.block_mm.map((v) => number(v)).join(" × ")} mm`].filter(Boolean).join(", ");
 
 // What an order of foam rests on: blocks, robot hours, panels that are not proven.
@@ -147,7 +151,9 @@ function drawFoam() {
   const hours = Object.entries(element.cut_h ?? {}).map(([arm, value]) => `${number(value, 3)} h of the arm ${arm}`).join(" and ");
   const proven = panels.filter((panel) => panel.state === "verified");
   const bad = panels.filter((panel) => stateOf(panel) === "refused");
-  const cycle = proven.reduce((sum, panel) => sum + (panel.cycle_s ?? 0), 0);
+  const sawn = (element.block_jobs ?? []).filter((job) => !job.panels?.length && stateOf(job) === "refused");
+  const problems = problemsOf(element).filter((one) => one.state === "verified");
+  const cycle = problems.reduce((sum, one) => sum + (one.cycle_s ?? 0), 0);
   const nest = drawn === id ? data.blocks : null;
   const sizes = new Map();
   for (const block of nest?.blocks ?? []) {
@@ -156,9 +162,10 @@ function drawFoam() {
   }
   const named = (some) => `${some.slice(0, 8).map((panel) => `${panel.id}${panel.issue ? ` (${panel.issue.code})` : ""}`).join(", ")}${some.length > 8 ? ` and ${some.length - 8} more` : ""}`;
   const lines = [
-    ["", `Robot hours: ${hours ? `the cuts alone take about ${hours}: an estimate` : "no estimate, since the jobs state no feed"}${proven.length ? `; the ${plural(proven.length, "proven panel")} take ${duration(cycle)} with their ways` : ""}.`],
+    ["", `Robot hours: ${hours ? `the cuts alone take about ${hours}: an estimate` : "no estimate, since the jobs state no feed"}${problems.length ? `; the ${plural(problems.length, element.block_jobs?.length ? "proven job" : "proven panel")} take ${duration(cycle)} with their ways` : ""}.`],
     nest ? ["", `Foam: ${[...sizes].map(([size, n]) => `${n} of ${size}`).join("; ")}; ${number(100 * nest.yield_volume, 2)} % of it becomes panels.`] : null,
     bad.length ? ["bad", `Refused: ${plural(bad.length, "panel")}, ${named(bad)}. Order no foam for them.`] : null,
+    sawn.length ? ["bad", `Refused: ${plural(sawn.length, "job")} that cut raw blocks apart, ${named(sawn)}. Cut these by hand otherwise.`] : null,
     proven.length < panels.length ? ["warn", `Proven: ${proven.length} of ${panels.length}. What is not proven may still be refused; plan it before its foam is ordered.`] : ["ok", `Proven: all ${panels.length} panels.`],
   ].filter(Boolean);
   $("foam-said").replaceChildren(...lines.map(([kind, text]) => h("li", { class: kind }, icon(kind === "ok" ? "check" : kind === "bad" ? "cross" : kind === "warn" ? "warning" : "note"), h("span", {}, text))));
@@ -189,6 +196,7 @@ function wanted(panels) {
 function drawList() {
   const panels = element.panels ?? [];
   show($("panels-card"), panels.length > 0);
+  show($("told-card"), panels.length > 0);
   const some = wanted(panels);
   const key = JSON.stringify([some.slice(0, count), chosen, group, panels.length, element.counts, element.told]);
   if (key === shownList) return;
@@ -198,26 +206,16 @@ function drawList() {
   show($("no-panels"), !some.length);
   show($("more"), some.length > count);
   $("more").textContent = `Show more panels (${some.length - count} are left)`;
-  const focus = document.activeElement?.dataset?.key;
-  $("panels").replaceChildren(...some.slice(0, count).map(row));
-  if (focus) $("panels").querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus({ preventScroll: true });
+  redrawn($("panels"), some.slice(0, count).map(row));
 }
 
-const STATE_KIND = { open: "run", not_planned: "", verified: "ok", refused: "bad" };
 function row(panel) {
-  const [state, own] = [stateOf(panel), panel.id];
+  const own = panel.id;
   const done = panel.mark ? `mark-${panel.mark}` : "";
-  const facts = [panel.order ? `${panel.order}. to be put up` : null, panel.block ? `from ${panel.block}` : null, panel.block_mm.map((v) => number(v)).join(" × ") + " mm", panel.cycle_s ? duration(panel.cycle_s) : null];
+  const facts = [panel.order ? `${panel.order}. to be put up` : null, panel.cut_in ? `cut in ${panel.cut_in} with others` : panel.block ? `from ${panel.block}` : null, panel.block_mm.map((v) => number(v)).join(" × ") + " mm", panel.cycle_s ? duration(panel.cycle_s) : null];
   return h("li", { class: `panel ${own === chosen ? "chosen" : ""} ${done}`, data: { panel: own } },
     h("div", { class: "who" }, panel.thumbnail ? pictureOf(panel.job, `panel ${own}`) : null, h("div", {}, h("button", { type: "button", class: "link id", "aria-pressed": String(own === chosen), "aria-label": `Show panel ${own} in the drawing`, data: { key: `show-${own}` }, onclick: () => choose(own === chosen ? "" : own, false) }, own), h("span", { class: "sub" }, facts.filter(Boolean).join(" · ")))),
-    h("div", { class: "what" },
-      h("span", { class: `badge ${STATE_KIND[state]}` }, h("i", { "aria-hidden": "true" }), stateWords(panel).replace(/^./, (c) => c.toUpperCase())),
-      panel.job ? h("a", { href: `/ui/jobs/${panel.job}`, "aria-label": `Job of ${own}`, data: { key: `job-${own}` } }, "job") : null,
-      panel.state === "verified" ? h("a", { href: `/v1/jobs/${panel.job}/programs.zip`, "aria-label": `Programs of ${own}`, data: { key: `programs-${own}` } }, "programs") : null,
-      released(panel),
-      panel.job && !["refused", "not_planned"].includes(state) ? null : h("button", { type: "button", class: "small", "aria-label": `${panel.job ? "Plan again" : "Make job"} of ${own}`, data: { key: `plan-${own}` }, onclick: () => plan([own]) }, panel.job ? "Plan again" : "Make job"),
-      panel.issue ? h("p", { class: "why" }, h("b", {}, panel.issue.code), " ", panel.issue.message, panel.issue.hint ? h("span", { class: "soft" }, ` What to do: ${panel.issue.hint}`) : null) : null,
-    ),
+    workOf(panel, plan),
     h("div", { class: "tick", role: "group", "aria-label": `${own} at the robot` }, Object.entries(MARKS).map(([mark, word]) => h("button", { type: "button", class: `mark-button ${mark}`, "aria-pressed": String(panel.mark === mark), "aria-label": `${own} ${word.toLowerCase()}`, data: { key: `${mark}-${own}` }, onclick: () => tick(panel, mark) }, panel.mark === mark ? icon(mark === "broken" ? "cross" : "check") : null, word))),
   );
 }
@@ -311,7 +309,7 @@ function failed(error) {
 // Keeps up: soon where something is under way, else seldom, for others may tick panels off.
 function again(wait) {
   clearTimeout(timer);
-  const under = element && (isOpen(element.state) || (element.report && isOpen(element.report.state)) || (element.panels ?? []).some((panel) => isOpen(panel.state)));
+  const under = element && (isOpen(element.state) || (element.report && isOpen(element.report.state)) || [...(element.panels ?? []), ...(element.block_jobs ?? [])].some((one) => isOpen(one.state)));
   timer = setTimeout(async () => {
     try {
       if (!document.hidden && !sending) {
@@ -328,7 +326,7 @@ function again(wait) {
 }
 
 setUpDescription(() => element, () => refresh().catch(failed));
-setUpReleasePanels(path, () => element?.panels ?? [], () => refresh().catch(failed));
+setUpReleasePanels(path, () => (element ? problemsOf(element) : []), () => refresh().catch(failed));
 $("cancel").prepend(icon("stop"));
 $("delete").prepend(icon("bin"));
 $("plan").addEventListener("click", () => plan());

@@ -111,12 +111,14 @@ export class PanelView extends Orbit {
     this.label(camera);
   }
 
-  // Ids on fronts that are seen, where there is room.
+  // Ids on fronts that are seen, where there is room, none over another.
   label({ view, lens, far }) {
     const all = times(lens, view);
     const eye = plus(scaled(plus(...this.whole), 0.5), plus(this.shift, scaled(this.camera().way, far)));
     const px = this.canvas.clientHeight / (2 * far * Math.tan(0.25));
     let used = 0;
+    const taken = []; // px
+    const half = [this.canvas.clientWidth / 2, this.canvas.clientHeight / 2];
     for (const panel of this.panels) {
       const sight = minus(eye, panel.face);
       const toward = dot(unit(sight), panel.out);
@@ -125,6 +127,9 @@ export class PanelView extends Orbit {
       if (!own && (toward < 0.4 || wide < ROOM[0] || wide * toward < ROOM[1])) continue;
       const [x, y, , w] = project(all, panel.face);
       if (w <= 0 || Math.abs(x / w) > 1 || Math.abs(y / w) > 1) continue;
+      const at = [(half[0] * x) / w, (half[1] * y) / w];
+      if (!own && taken.some((other) => Math.abs(at[0] - other[0]) < ROOM[0] && Math.abs(at[1] - other[1]) < ROOM[1])) continue;
+      taken.push(at);
       const mark = (this.marks[used] ??= this.labels.appendChild(h("span", {})));
       used += 1;
       mark.hidden = false;

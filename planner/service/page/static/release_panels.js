@@ -7,27 +7,30 @@ import { plural } from "./words.js";
 // What was withdrawn had its reason, and is released again where that stands: at its job.
 export const toRelease = (panels) => panels.filter((panel) => panel.state === "verified" && panel.release === "not-released");
 
-// How the button stands for these panels.
+// One of them, in a word: jobs where raw blocks have some, too.
+const named = (problems) => (problems.some((one) => one.said) ? "job" : "panel");
+
+// How the button stands for these panels and jobs of raw blocks.
 export function drawReleasePanels(panels) {
   const some = toRelease(panels);
   const proven = panels.filter((panel) => panel.state === "verified").length;
   show($("release-all"), proven > 0);
   $("release-all").disabled = !some.length;
-  $("release-all").textContent = some.length ? `Release ${some.length === proven ? "all " : ""}${plural(some.length, "proven panel")}` : panels.some((panel) => panel.release === "withdrawn") ? "Withdrawn: release them at their jobs" : "All proven panels are released";
+  $("release-all").textContent = some.length ? `Release ${some.length === proven ? "all " : ""}${plural(some.length, `proven ${named(panels)}`)}` : panels.some((panel) => panel.release === "withdrawn") ? "Withdrawn: release them at their jobs" : `All proven ${named(panels)}s are released`;
 }
 
 // path(): the element's address; panels(): as they are shown now; after(): reads them anew.
 export function setUpReleasePanels(path, panels, after) {
-  let named = false; // nobody is known by a token
+  let nameless = false; // nobody is known by a token
   let shown = [];
   $("release-all").addEventListener("click", async () => {
     const who = await me;
-    named = Boolean(who && !who.tokens);
-    show($("release-who"), named);
-    $("release-name").required = named;
+    nameless = Boolean(who && !who.tokens);
+    show($("release-who"), nameless);
+    $("release-name").required = nameless;
     shown = toRelease(panels());
     const left = panels().length - shown.length;
-    $("release-count").textContent = `${plural(shown.length, "panel")}${left ? `; ${plural(left, "other")} not: not proven, released already, or withdrawn` : ", all that there are"}.`;
+    $("release-count").textContent = `${plural(shown.length, named(panels()))}${left ? `; ${plural(left, "other")} not: not proven, released already, or withdrawn` : ", all that there are"}.`;
     $("release-what").replaceChildren(...shown.flatMap((one) => [h("dt", {}, one.id), h("dd", {}, h("code", { title: one.digest }, one.digest.slice(0, 16)))]));
     $("release-name").value = signed();
     $("release-ask").returnValue = "";
@@ -35,8 +38,8 @@ export function setUpReleasePanels(path, panels, after) {
   });
   $("release-ask").addEventListener("close", async () => {
     if ($("release-ask").returnValue !== "yes") return;
-    const by = named ? { name: $("release-name").value } : {};
-    if (named) sign(by.name);
+    const by = nameless ? { name: $("release-name").value } : {};
+    if (nameless) sign(by.name);
     const asked = Object.fromEntries(shown.map((one) => [one.id, { job: one.job, digest: one.digest }]));
     let done = null;
     try {
@@ -48,7 +51,7 @@ export function setUpReleasePanels(path, panels, after) {
     }
     await after();
     if (!done) return;
-    announce(`${plural(done.releases.length, "panel")} released`);
+    announce(`${plural(done.releases.length, named(panels()))} released`);
     banner(done.refused.map((one) => `${one.panel} was not released: ${one.issues.map((issue) => issue.message).join("; ")}`).join(" · "), "warn");
     $("release-all").focus();
   });

@@ -2,13 +2,13 @@
 import { h } from "./dom.js";
 import { labelOf, number, unitOf } from "./words.js";
 
-const NAMES = { count: "Panels", size_mm: ["Length", "Width", "Thickness"], cells: ["Across", "Along"], least_height_mm: "Least height", lobe_mm: "Radius of lobes", tolerance_mm: "Tolerance", off_surface_mm: "Off the surface" };
+const NAMES = { count: "Panels", size_mm: ["Length", "Width", "Thickness"], cells: ["Across", "Along"], least_height_mm: "Least height", lobe_mm: "Radius of lobes", tolerance_mm: "Tolerance", joint_mm: "Step at joints", off_surface_mm: "Off the surface" };
 const WHOLE = ["count", "cells"];
 const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
 
 // A step that suits a figure, and the range of its slider: what is outside is typed.
 function rangeOf(name, value) {
-  const step = WHOLE.includes(name) ? 1 : value < 10 ? 0.1 : value < 200 ? 1 : 10;
+  const step = WHOLE.includes(name) ? 1 : value < 1 ? 0.01 : value < 10 ? 0.1 : value < 200 ? 1 : 10;
   const round = (v) => Math.max(+(Math.round(v / step) * step).toFixed(3), step);
   return { step, min: round(value / 4), max: round(value * 3) };
 }
