@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
 
 from planner.element.elastic_panel import ElasticPanel, joints
+from planner.element.follow import Lead, lead
 from planner.element.misfit import (
     MISFIT_STEP,
     SECTIONS_PER_CELL,
@@ -30,7 +32,7 @@ from planner.element.panel_faces import CutWire, bend, cut_out, holds
 from planner.element.surface import ElementSurface, Profile, profiles
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.guillotine import Division, divide
-from planner.geometry.mesh import TriangleMesh
+from planner.geometry.mesh import TriangleMesh, vertex_normals
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
@@ -220,7 +222,7 @@ def divide_elastic(made: Search, judge: Judge | None = None, held: bool = False)
         # the check takes longest: it comes when all else is well
         failed = [p for p in places if fits.at(p) is None] or [p for p in places if not fits.passes(p)]
         if not failed:
-            return _evened(fits, misfit, places)
+            return _led(fits, _evened(fits, misfit, places))
         for place in failed:
             if held:
                 struck[place] = float(misfit[place])
@@ -272,10 +274,14 @@ class _Fits:
         """Whether one of the wires held in a panel's shapes is not refused: from then on, the panel is cut by
         that."""
         if place not in self._passed and self.judge is not None:
-            while (panel := self._known[place]) is not None and self.judge(panel) is not None:
+            while (panel := self._known[place]) is not None and not self.accepts(panel):
                 self._known[place] = next(self._tries[place], None)
         self._passed.add(place)
         return self._known[place] is not None
+
+    def accepts(self, panel: ElasticPanel) -> bool:
+        """Whether the judge refuses nothing of a panel, or there is none."""
+        return self.judge is None or self.judge(panel) is None
 
     def panels(self, places: Sequence[_Place]) -> tuple[ElasticPanel, ...]:
         """Those at all places that have one."""
@@ -328,6 +334,30 @@ def _evened(fits: _Fits, price: FloatArray, places: list[_Place]) -> tuple[Elast
     return panels
 
 
+def _led(fits: _Fits, panels: tuple[ElasticPanel, ...]) -> tuple[ElasticPanel, ...]:
+    """The panels, of which one at each joint beyond the limit follows the other (`follow`), as far as fewer
+    joints are beyond it then."""
+    limit, leads = fits.made.rules.joint, dict[int, tuple[Lead, ...]]()
+    least = _unevenness(panels, limit)
+    for _ in range(_MOST_EVENED):
+        over = sorted((one for one in joints(panels) if one.step > limit), key=lambda one: -one.step)
+        best: tuple[tuple[int, int], int, tuple[Lead, ...], tuple[ElasticPanel, ...]] | None = None
+        for joint, k in itertools.product(over[:_WORST_JOINTS], (0, 1)):
+            one, own = joint.panels[k], panels[joint.panels[k]]
+            more = (*leads.get(one, ()), lead(joint, 1 - k, panels[joint.panels[1 - k]]))
+            panel = _panel(fits.made, own.rectangle, 2 * own.wire + own.along, more)
+            if panel is None or panel.held < own.held:
+                continue
+            anew = (*panels[:one], panel, *panels[one + 1 :])
+            uneven = _unevenness(anew, limit)
+            if uneven < (least if best is None else best[0]) and fits.accepts(panel):
+                best = uneven, one, more, anew
+        if best is None:
+            return panels
+        least, one, leads[one], panels = best
+    return panels
+
+
 def _unevenness(panels: Sequence[ElasticPanel], limit: float) -> tuple[int, int]:
     """How many joints are beyond the limit, and how far joints are above what counts as even, in steps of
     misfits, added up; nothing without a limit."""
@@ -358,9 +388,11 @@ def _first(panels: Iterator[ElasticPanel]) -> ElasticPanel | None:
     return best
 
 
-def _panel(made: Search, rectangle: tuple[int, int, int, int], way: int) -> ElasticPanel | None:
-    """The panel in its block; None where a face is off the wire by more than the tolerance, or no block holds
-    it."""
+def _panel(
+    made: Search, rectangle: tuple[int, int, int, int], way: int, leads: Sequence[Lead] = ()
+) -> ElasticPanel | None:
+    """The panel in its block, its faces where ``leads`` say at joints; None where a face is off the wire, or
+    then off the surface, by more than the tolerance, or no block holds it."""
     number, along = divmod(way, 2)
     cut, rules = made.rules.wires[number], made.rules
     x0, x1, y0, y1 = rectangle
@@ -378,17 +410,24 @@ def _panel(made: Search, rectangle: tuple[int, int, int, int], way: int) -> Elas
     middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
     origin = middle - np.array([0.0, 0.0, 0.5 * size[2]])
     pose = from_parts(axes.T, axes.T @ origin)
+    flat = front.vertices[:, :2]
+    wanted = sum((lead.over(flat) for lead in leads), np.zeros((2, len(flat))))
     made_faces, off, misfit, held = [], [], 0.0, True
-    for mesh in (front, back):
-        laid = TriangleMesh(mesh.vertices @ axes.T - origin, mesh.faces)
+    for mesh, out in zip((front, back), wanted, strict=True):
+        rise = out / np.abs(vertex_normals(mesh)[:, 2]) if leads else out  # upright, as faces are moved
+        laid = TriangleMesh(mesh.vertices @ axes.T - origin + rise[:, None] * axes[:, 2], mesh.faces)
         bent = bend(laid, axes[:, 2], cut, 0.5 * float(size[0]), rules.end_weight)
-        if bent is None or bent.misfit > rules.tolerance + 0.5 * MISFIT_STEP:
+        if bent is None:
+            return None
+        whole = bent.off + out
+        # sections see more than vertices do
+        far = bent.misfit + float(np.abs(whole).max() - np.abs(bent.off).max())
+        if max(far, bent.misfit) > rules.tolerance + 0.5 * MISFIT_STEP:
             return None
         moved = laid.vertices + bent.shift[:, None] * axes[:, 2]
         made_faces.append(TriangleMesh(moved, laid.faces))
-        off.append(bent.off)
-        misfit, held = max(misfit, bent.misfit), held and bent.held
-    flat = front.vertices[:, :2]
+        off.append(whole)
+        misfit, held = max(misfit, far), held and bent.held
     rim = np.any(
         [flat[:, 0] == bounds[0], flat[:, 0] == bounds[1], flat[:, 1] == bounds[2], flat[:, 1] == bounds[3]],
         axis=0,

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue
 
@@ -47,12 +47,15 @@ class ElasticPanel:
 class Joint:
     """Where two panels meet: their numbers, ``length`` [m] along the joint, ``steps`` (2, R) [m] of the
     fronts and of the backs across the surface at its vertices; ``wire_ends``: whether wires of both end
-    there."""
+    there. ``axis``: that of the element across it; ``rows`` (R, 2): its vertices among those on the sides of
+    each."""
 
     panels: tuple[int, int]
     length: float
     steps: FloatArray
     wire_ends: bool
+    axis: int
+    rows: IntArray
 
     @property
     def step(self) -> float:
@@ -78,7 +81,7 @@ def joints(panels: Sequence[ElasticPanel]) -> tuple[Joint, ...]:
             place = one.flat[rows[:, 0]]
             steps = np.abs(one.off[:, rows[:, 0]] - other.off[:, rows[:, 1]])
             ends = one.along == other.along == axis
-            found.append(Joint((a, b), float(np.ptp(place[:, 1 - axis])), steps, ends))
+            found.append(Joint((a, b), float(np.ptp(place[:, 1 - axis])), steps, ends, axis, rows))
     return tuple(found)
 
 

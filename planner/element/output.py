@@ -72,9 +72,10 @@ def folder(
     files = panel_files(element, panels, names)
     own = _panel_blocks(element, panels, names)
     up = assembly(element, panels, names)
+    templates = chosen_templates(element, panels, names)
     rows = [
-        {**_row(element, panel, block), **columns}
-        for panel, block, columns in zip(panels, own, up.columns(), strict=True)
+        {**_row(element, panel, block), "job": template.file, **columns}
+        for panel, block, template, columns in zip(panels, own, templates, up.columns(), strict=True)
     ]
     files["panels.csv"] = table(rows)
     files["panels.svg"] = drawing(element, panels, names)

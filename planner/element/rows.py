@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, transform
+from planner.geometry.arrays import FloatArray, transform, unit
 from planner.geometry.cut_tree import Bow, CutTree, Part
 from planner.geometry.units import DEG, MM
 
@@ -223,7 +223,8 @@ def _borne(
             ends = [(float(one[..., along].min()), float(one[..., along].max())) for one in faces[name]]
             if any(a[1] > b[0] - SAME for a, b in itertools.pairwise(sorted(ends))):
                 return "their faces, which go on beyond their sides, lie over one another"
-        found = _bearers(_between(np.concatenate(faces[BACKS], axis=1)), along, 2, 0.0, half, limits.room)
+        backs = _straight_on(np.concatenate(faces[BACKS], axis=1), along, float(half[along]) + limits.room)
+        found = _bearers(_between(backs), along, 2, 0.0, half, limits.room)
         if isinstance(found, float):
             return _near("foam_faces_mm", "as they lie", found, limits)
         beams = found
@@ -277,6 +278,21 @@ def _between(ends: FloatArray) -> list[FloatArray]:
     """Ways (N, 3) of points of a wire from end to end of it, of ``ends`` (2, N, 3): one that leans may be
     nearer to what bears a row in between than at both."""
     return [ends[0] + share * (ends[1] - ends[0]) for share in np.linspace(0.0, 1.0, _WAYS).tolist()]
+
+
+def _straight_on(ends: FloatArray, along: int, far: float) -> FloatArray:
+    """Wires by their ends (2, N, 3) with those of the ways in and out, which go straight on from a surface,
+    as far as ``far`` [m] from the middle of the row."""
+    out = ends
+    for k, before in ((0, 1), (-1, -2)):
+        ruling = unit(ends[1, k] - ends[0, k])
+        way = (ends[:, k] - ends[:, before]).sum(axis=0)
+        way = unit(way - (way @ ruling) * ruling)
+        rest = far - np.sign(way[along]) * ends[:, k, along]
+        length = float(np.clip(rest.max() / max(abs(float(way[along])), SLIP), 0.0, 2.0 * far))
+        more = ends[:, [k]] + length * way
+        out = np.concatenate([more, out] if k == 0 else [out, more], axis=1)
+    return out
 
 
 def _bearers(

@@ -10,7 +10,7 @@ two that belong together is the joint's: its part along the surface's normal is 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from planner.element.jobs import block_pose
 from planner.geometry.arrays import FloatArray, IntArray, dots, inverse, transform
-from planner.geometry.mesh import vertex_normals
+from planner.geometry.mesh import TriangleMesh, vertex_normals
 from planner.geometry.mesh_files import read_mesh
 from planner.geometry.rulings import boundaries
 from planner.geometry.units import MM
@@ -60,6 +60,19 @@ class CutJoint:
     gaps: FloatArray
 
 
+@dataclasses.dataclass(frozen=True)
+class CutPart:
+    """An object of a simulated part [m]: ``points`` (V, 3), and the normals (V, 3) of what is wound about
+    them, away from the foam that is left; NaN where nothing is."""
+
+    points: FloatArray
+    normals: FloatArray
+
+    def moved(self, pose: FloatArray) -> CutPart:
+        """The object in another frame, by its pose (4, 4) there."""
+        return CutPart(transform(pose, self.points), self.normals @ pose[:3, :3].T)
+
+
 def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, ...]:
     """The faces of a panel of ``out`` as the plan in ``run`` cuts them.
 
@@ -76,13 +89,13 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
         if moved is None:
             continue
         far = np.inf
-        if moved.shape == written.vertices.shape:
-            far = float(np.abs(moved - written.vertices).max())
+        if moved.points.shape == written.vertices.shape:
+            far = float(np.abs(moved.points - written.vertices).max())
         if far > LARGEST_DEVIATION:
             raise other_panel(path, name, f"the {side} face")
         normals = vertex_normals(written) @ pose[:3, :3].T
         rim = np.unique(np.concatenate(boundaries(written)))
-        faces.append(CutFace(transform(pose, written.vertices), transform(pose, moved), normals, rim))
+        faces.append(CutFace(transform(pose, written.vertices), transform(pose, moved.points), normals, rim))
     return tuple(faces)
 
 
@@ -91,15 +104,14 @@ def job_of(panel: Mapping[str, Any]) -> str:
     return str(panel.get("cut_in", {}).get("job", panel["id"]))
 
 
-def panel_objects(run: Path, panel: Mapping[str, Any]) -> tuple[Path, dict[str, FloatArray]]:
-    """The simulated part that a panel is in, and vertices (V, 3) [m] of each of its objects in the frame of
-    the panel's block."""
+def panel_objects(run: Path, panel: Mapping[str, Any]) -> tuple[Path, dict[str, CutPart]]:
+    """The simulated part that a panel is in, and its objects in the frame of the panel's block."""
     path = run / job_of(panel) / "simulated_part.obj"
     found = part_objects(path)
     if "cut_in" not in panel:
         return path, found
     to_block = inverse(block_pose({"block_pose": panel["cut_in"]["pose"]}))
-    return path, {name: transform(to_block, points) for name, points in found.items()}
+    return path, {name: one.moved(to_block) for name, one in found.items()}
 
 
 def other_panel(path: Path, name: str, what: str) -> TandemError:
@@ -109,17 +121,32 @@ def other_panel(path: Path, name: str, what: str) -> TandemError:
     return TandemError(Issue("element.run", said, file=str(path), hint=hint))
 
 
-def part_objects(path: Path) -> dict[str, FloatArray]:
-    """Vertices (V, 3) [m] of each object of a simulated part."""
+def part_objects(path: Path) -> dict[str, CutPart]:
+    """The objects of a simulated part, by their names."""
     found: dict[str, list[list[float]]] = {}
-    rows: list[list[float]] = []
+    wound: dict[str, list[list[int]]] = {}
+    name, before, count = "", 0, 0
     for line in path.read_text("utf-8").splitlines():
         words = line.split()
         if words[:1] == ["o"]:
-            rows = found.setdefault(words[1], [])
+            name, before = words[1], count
+            found.setdefault(name, [])
+            wound.setdefault(name, [])
         elif words[:1] == ["v"]:
-            rows.append([float(word) * MM for word in words[1:4]])
-    return {name: np.array(rows).reshape(-1, 3) for name, rows in found.items()}
+            found[name].append([float(word) * MM for word in words[1:4]])
+            count += 1
+        elif words[:1] == ["f"]:
+            first = len(found[name]) - (count - before) - before - 1
+            wound[name].append([int(word.split("/")[0]) + first for word in words[1:4]])
+    return {name: _part(np.array(rows).reshape(-1, 3), wound[name]) for name, rows in found.items()}
+
+
+def _part(points: FloatArray, wound: Sequence[Sequence[int]]) -> CutPart:
+    normals = np.full(points.shape, np.nan)
+    if len(wound):
+        mesh = TriangleMesh(points, np.array(wound, dtype=np.int64))
+        normals[np.unique(mesh.faces)] = vertex_normals(mesh)[np.unique(mesh.faces)]
+    return CutPart(points, normals)
 
 
 def cut_joint(

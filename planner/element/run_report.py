@@ -19,6 +19,7 @@ import numpy as np
 
 from planner import plans
 from planner.element.output import table
+from planner.element.row_fronts import CutFront, cut_front
 from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint, job_of
 from planner.element.side_joints import CutSide, cut_sides, side_joint
 from planner.element.wall_joints import cut_surfaces, wall_joint
@@ -43,7 +44,7 @@ MINUTE: Final = 60.0
 class PanelRun:
     """A panel of ``element.json`` and what became of it: its ``state`` in the summary, the ``code`` and
     ``message`` of what is to be said, ``seconds`` of motion by arm, its ``faces`` as cut; of a planar panel
-    these are its ``sides``."""
+    these are its ``sides``, and before them its front where a row is cut to its thickness."""
 
     panel: Mapping[str, Any]
     state: str
@@ -155,7 +156,8 @@ class ElementRun:
         return _summed(self._all)
 
     def issues(self) -> tuple[Issue, ...]:
-        """``element.joint`` for each joint beyond its limits, ``element.run`` for panels without proof."""
+        """``element.joint`` for each joint beyond its limits, ``element.face`` for each front off its plane,
+        ``element.run`` for panels without proof."""
         found = [
             Issue(
                 "element.joint",
@@ -173,6 +175,7 @@ class ElementRun:
             for joint in self.joints
             if joint.over
         ]
+        found += [issue for panel in self.panels for issue in _off_plane(panel)]
         found += _left("panels", self.panels, "see what their reports say, and order no foam for them before")
         if any(one.state != NOT_PLANNED for one in self.saw):
             hint = "see what their reports say; cut these by hand otherwise"
@@ -186,6 +189,29 @@ def _summed(jobs: Sequence[PanelRun | SawRun]) -> dict[str, float]:
         for arm, seconds in job.seconds.items():
             out[arm] = out.get(arm, 0.0) + seconds
     return out
+
+
+def _off_plane(panel: PanelRun) -> Iterator[Issue]:
+    """``element.face`` for a front that is cut off its plane."""
+    for front in (face for face in panel.faces if isinstance(face, CutFront)):
+        off = np.abs(front.deviation)
+        at_95 = float(np.percentile(off, 95.0))
+        if at_95 <= MOST_AT_95 and float(off.max()) <= MOST:
+            continue
+        where = f"; the slot of {front.slot / MM:.2g} mm is on the panel's side" if front.slot else ""
+        yield Issue(
+            "element.face",
+            f"front of panel {panel.name} as cut: {at_95 / MM:.3f} mm off its plane at 95 % of its points, "
+            f"{off.max() / MM:.3f} mm at most{where}; allowed are {MOST_AT_95 / MM:g} and {MOST / MM:g} mm",
+            Severity.WARNING,
+            field="cut_blocks",
+            value=at_95 / MM,
+            limit=MOST_AT_95 / MM,
+            unit="mm",
+            hint=f"do not cut {job_of(panel.panel)}; divide the element again and plan its blocks anew"
+            if front.slot
+            else "ask for a smaller shape_tol_mm in cut_blocks.problem",
+        )
 
 
 def _left(what: str, jobs: Sequence[PanelRun | SawRun], hint: str) -> Iterator[Issue]:
@@ -292,7 +318,8 @@ def _panel(
     seconds = {} if "cut_in" in panel else _motion(run / job_of(panel))  # of rows with those of blocks
     if "front_mm" in panel:
         sides = cut_sides(out, run, panel, thickness)
-        return PanelRun(panel, PROVEN, code, row["message"], seconds, sides, sides)
+        whole = (*cut_front(run, panel, thickness), *sides)
+        return PanelRun(panel, PROVEN, code, row["message"], seconds, whole, sides)
     faces = cut_surfaces(out, run, panel) if "from_share" in panel else cut_faces(out, run, panel)
     return PanelRun(panel, PROVEN, code, row["message"], seconds, faces)
 

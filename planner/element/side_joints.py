@@ -63,7 +63,7 @@ def cut_sides(out: Path, run: Path, panel: Mapping[str, Any], thickness: float) 
     name = str(panel["id"])
     path, objects = panel_objects(run, panel)
     own_name = name if "cut_in" in panel else SIDES
-    found = [rows for word, rows in objects.items() if re.fullmatch(rf"cut_{own_name}(_\d+)?", word)]
+    found = [one.points for word, one in objects.items() if re.fullmatch(rf"cut_{own_name}(_\d+)?", word)]
     if not found:
         return ()
     cut = np.concatenate(found)

@@ -48,7 +48,8 @@ def cut_surfaces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[WallFa
     panel's file.
     """
     name = str(panel["id"])
-    path, parts = panel_objects(run, panel)
+    path, objects = panel_objects(run, panel)
+    parts = {word: one.points for word, one in objects.items()}
     if "cut_in" in panel:
         written = strict_yaml.read(out / AGAIN / f"{name}.yaml").data["part"]["ruled"]
         parts = _of_row(parts, name, written)

@@ -28,6 +28,7 @@ MOST_LOOKS: Final = 8_000_000
 """Free rectangles that are looked at in all, a bound on time (5 s)."""
 _FIRST_SHARE: Final = 0.4  # of the looks that orders and rules may take
 _ROUNDS: Final = 150  # of the search, for each box
+_STALE: Final = 75  # of them that free no block, for each box: none was freed after more than 61
 
 
 @dataclasses.dataclass(frozen=True)
@@ -212,9 +213,10 @@ class _Search:
         chance = random.Random(1)
         bound = sum(a * b for a, b, _ in self.boxes)
         low: list[int] | None = None  # blocks by their fill, until one is changed
-        for _ in range(_ROUNDS * len(self.boxes)):
+        last = 0
+        for turn in range(_ROUNDS * len(self.boxes)):
             enough = len(found) < 2 or (len(self.rooms) == 1 and -(-bound // found[0].area) == len(found))
-            if enough or self.looks > MOST_LOOKS:
+            if enough or self.looks > MOST_LOOKS or turn - last > _STALE * len(self.boxes):
                 break
             if low is None:
                 low = sorted(range(len(found)), key=[one.fill for one in found].__getitem__)
@@ -236,7 +238,8 @@ class _Search:
             if len(self.plenty) > 1 and chance.random() < 0.3:  # another kind in place of one
                 kinds[-1] = chance.choice(self.plenty)
             new = self.pack(order, rule, kinds, [])
-            if new is not None and self.cost(new) <= self.cost(old):
+            if new is not None and (cost := self.cost(new)) <= (before := self.cost(old)):
+                last = turn if cost[:2] < before[:2] else last
                 found = [one for i, one in enumerate(found) if i not in picked] + new
                 low = None
         return found

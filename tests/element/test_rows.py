@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import itertools
 import re
 from pathlib import Path
@@ -13,16 +14,20 @@ import pytest
 import shapely
 import yaml
 
-from planner import pipeline
+from planner import pipeline, plans
 from planner.batch import run as batch
+from planner.claims.claim import CutsSurface, KerfCurve
+from planner.claims.vocabulary import Segment
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
 from planner.element.rows import FRONTS, Limits, Piece, Row, Shape, rows_of
 from planner.geometry.cut_tree import Bow, CutTree
 from planner.geometry.line_nest import in_lines
+from planner.geometry.units import MM
 from tests.element.shells import shell
 from tests.element.test_run_report import data_of
 from tests.element.test_saw_jobs import KERF, SAW, jobs_of, planes, upwards
 from tests.element.walls import ROOT
+from tests.test_plans import some_plan
 
 WALL = ROOT / "problems" / "ruled_wall_108" / "rows.yaml"
 FOAM = 14.0
@@ -196,6 +201,24 @@ def test_the_slot_that_takes_a_slab_to_its_thickness_is_above_its_panels(block: 
     assert np.cross(start[1] - start[0], end[0] - start[0])[2] > 0.0
 
 
+def test_what_bears_a_row_ends_where_the_wire_comes_in_below_it() -> None:
+    """Backs that fall off by 1 in 2 at both ends of a row: the wire goes straight on, 5 mm above the bottom
+    where the part ends."""
+    y = np.linspace(-0.1, 0.1, 41)
+
+    def face(z: np.ndarray) -> np.ndarray:
+        return np.stack([np.stack([np.full(41, x), y, z], axis=1) for x in (-0.1, 0.1)])
+
+    low = 0.025 - 0.5 * np.maximum(np.abs(y) - 0.08, 0.0)
+    shape = dataclasses.replace(PIECE, faces=(face(low), face(low + 0.06)))
+    limits = Limits(Bow(0.65, 0.65), 0.02, 0.2, 0.013)
+    (row,) = rows_of(TREE, [Piece(n, 0.1, shape) for n in "ab"], 0.1, limits)[0].values()
+    ends = max(float(np.abs(ring[..., 1]).max()) for ring in row.outlines.values())  # 15 mm high there
+    beyond = ends + (0.015 - 0.013) / 0.5
+    assert -row.beams[0][0] < beyond - 0.012
+    assert row.beams[-1][1] < beyond - 0.012
+
+
 @pytest.mark.parametrize(
     ("shapes", "thick", "limits", "why"),
     [
@@ -286,3 +309,55 @@ def test_rows_of_a_wall_and_of_a_shell_are_proven_and_reported(out: Path, wall: 
         for name in job["panels"]:
             assert rows[name]["state"] == "verified"
             assert float(rows[name]["off_written_largest_mm"]) < 0.4, block["id"]
+
+
+def cut_as_asked(problem: dict[str, Any]) -> str:
+    """A simulated part of a row in which every cut is where its problem has it, wound as that says."""
+    lines, count = [], 1
+    for one in problem["part"]["ruled"]:
+        start, end = rings(one)
+        if one.get("closed"):
+            start, end = (np.concatenate([ring, ring[:1]]) for ring in (start, end))
+        fine = np.linspace(0, len(start) - 1, 40 * (len(start) - 1) + 1)
+        ends = [np.stack([np.interp(fine, range(len(r)), c) for c in r.T], axis=1) for r in (start, end)]
+        share = np.linspace(0.0, 1.0, 12)[:, None, None]
+        grid = (1.0 - share) * ends[0] + share * ends[1]
+        lines += [f"o cut_{one['name']}", *(f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in grid.reshape(-1, 3))]
+        number = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2]) + count
+        a, b, c = number[:-1, :-1].ravel(), number[:-1, 1:].ravel(), number[1:, :-1].ravel()
+        lines += [f"f {i} {j} {k}" for i, j, k in np.stack([a, b, c], axis=1).tolist()]
+        count += number.size
+    return "\n".join(lines) + "\n"
+
+
+def test_a_slot_on_the_side_of_the_panels_is_named_by_the_report_and_none_once_planned_anew(
+    out: Path, tmp_path: Path
+) -> None:
+    """Which side a slot is on comes from the problem alone, in claim and program alike: both would be wrong
+    together, as they were once."""
+    _, job, problem = rows_in(out)[0]
+    plan = some_plan()
+    operation = plan.operations[0]
+    segment = Segment("cut", "fronts")
+    claim = CutsSurface(segment, np.zeros((3, 3)), np.array([[0, 1, 2]]), KerfCurve.constant(KERF * MM), 1e-3)
+    targets = dataclasses.replace(operation.targets, claims=(claim,))
+    plan = dataclasses.replace(plan, operations=(dataclasses.replace(operation, targets=targets),))
+    for k, wrong in enumerate((True, False)):
+        run = tmp_path / f"run{k}"
+        (run / job["id"]).mkdir(parents=True)
+        plans.save(plan, run / job["id"])
+        (fronts,) = [one for one in problem["part"]["ruled"] if one["name"] == "fronts"]
+        turned = {**fronts, "start": fronts["end"], "end": fronts["start"]} if wrong else fronts
+        ruled = [turned if one is fronts else one for one in problem["part"]["ruled"]]
+        text = cut_as_asked({"part": {"ruled": ruled}})
+        (run / job["id"] / "simulated_part.obj").write_text(text)
+        (run / "summary.csv").write_text(f"name,state,issues,message\n{job['id']},verified,,\n")
+        issues = [
+            issue for issue in run_element_report(ElementReport(out, run)) if issue.code == "element.face"
+        ]
+        rows = {row["id"]: row for row in csv.DictReader((out / "report.csv").open())}
+        off = [float(rows[name]["off_written_largest_mm"]) for name in job["panels"]]
+        assert off == pytest.approx([KERF if wrong else 0.0] * len(off), abs=2e-3)
+        assert len(issues) == (len(off) if wrong else 0)
+        assert all("the slot of 2 mm is on the panel's side" in issue.message for issue in issues)
+        assert {issue.message.split()[3] for issue in issues} == (set(job["panels"]) if wrong else set())

@@ -191,6 +191,10 @@ ELSEWHERE: Final = {
         "element/test_element_file",
         "test_joints_beyond_the_step_asked_are_told_and_the_step_advised_is_kept",
     ),
+    "element.face": (
+        "element/test_rows",
+        "test_a_slot_on_the_side_of_the_panels_is_named_by_the_report_and_none_once_planned_anew",
+    ),
     "element.raw_block": (
         "element/test_nest",
         "test_blocks_that_fit_no_raw_block_are_refused_with_the_size_that_does",

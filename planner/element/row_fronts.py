@@ -1,0 +1,67 @@
+"""Fronts of planar panels that are cut out of a slab together, as the programs cut them, against the planes
+that the element gives them.
+
+One cut takes all of a row to their thickness, and which side of it the slot is on is what the row's problem
+says: a program that does as it says is proven. The simulated part is wound about what is left, so here it is
+asked of the part: a slot on the side of the panel takes as much more of it as it is wide. Backs are the raw
+block's own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from planner import plans
+from planner.claims.claim import CutsSurface
+from planner.element.jobs import block_pose
+from planner.element.rows import FRONTS
+from planner.element.run_joints import CutFace, CutPart, job_of, panel_objects
+from planner.element.side_joints import rings
+from planner.geometry.arrays import FloatArray, transform
+
+
+@dataclasses.dataclass(frozen=True)
+class CutFront(CutFace):
+    """The front of a planar panel. ``slot`` [m]: what the slot across it takes of the panel, 0 where it is
+    above."""
+
+    slot: float
+
+
+def cut_front(run: Path, panel: Mapping[str, Any], thickness: float) -> tuple[CutFront, ...]:
+    """The front of a panel ``thickness`` [m] as its row in ``run`` is cut; none where nothing cuts it."""
+    cut = panel_objects(run, panel)[1].get(f"cut_{FRONTS}") if "cut_in" in panel else None
+    if cut is None:
+        return ()
+    _, front = rings(panel, thickness)
+    inside = shapely.contains_xy(shapely.Polygon(front[:, :2]), cut.points[:, 0], cut.points[:, 1])
+    own = CutPart(cut.points[inside], cut.normals[inside])
+    if not len(own.points):
+        return ()
+    up = np.array([0.0, 0.0, 1.0])
+    below = own.normals @ up < 0.0
+    slot = _slot(run / job_of(panel)) if below.any() else 0.0
+    left = own.points + slot * np.where(below[:, None], own.normals, 0.0)
+    place = left.copy()
+    place[:, 2] = thickness
+    pose = block_pose(panel)
+    normals = np.broadcast_to(pose[:3, :3] @ up, place.shape)
+    rim = np.zeros(0, dtype=np.intp)
+    return (CutFront(transform(pose, place), transform(pose, left), normals, rim, slot),)
+
+
+def _slot(result: Path) -> float:
+    """The widest slot [m] of the cut of fronts."""
+    widths: list[FloatArray] = [
+        claim.kerf.width
+        for operation in plans.load(result).operations
+        for claim in operation.targets.claims
+        if isinstance(claim, CutsSurface) and claim.segment.word == f"cut_{FRONTS}"
+    ]
+    return max((float(width.max()) for width in widths), default=0.0)
