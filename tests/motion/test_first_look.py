@@ -17,6 +17,7 @@ from planner.issues import has_errors
 from planner.motion.first_look import FirstLook
 from planner.problem import Problem
 from planner.reading import strict_yaml
+from planner.service.kept_files import KeptFiles
 from planner.service.kept_targets import maker, seen, seen_alike
 from planner.targets import Targets
 from tests import small_forming, small_problem
@@ -181,8 +182,8 @@ def test_processes_make_the_same_targets_whatever_they_do_not_see(name: str, tmp
     one, other = pipeline.load(first), pipeline.load(second)
     assert one.digest != other.digest and seen_alike(one) == seen_alike(other)
     for index, (a, b) in enumerate(zip(processes.jobs(one), processes.jobs(other), strict=True)):
-        made = maker(tmp_path / "kept", one, alike=True)(index, a)
-        kept = maker(tmp_path / "kept", other, alike=True)(index, no_job)
+        made = maker(KeptFiles(tmp_path / "kept"), one, alike=True)(index, a)
+        kept = maker(KeptFiles(tmp_path / "kept"), other, alike=True)(index, no_job)
         alike(kept, made)
         alike(kept, b.targets())
         few = processes.job(other, index, brief=True).targets()
@@ -190,7 +191,7 @@ def test_processes_make_the_same_targets_whatever_they_do_not_see(name: str, tmp
         if not few.thinned:  # what a first look does not judge shapes none
             alike(few, made)
         with pytest.raises(AttributeError):  # a whole check makes its own
-            maker(tmp_path / "kept", other, alike=False)(index, no_job)
+            maker(KeptFiles(tmp_path / "kept"), other, alike=False)(index, no_job)
 
 
 def test_a_block_that_leans_otherwise_is_seen(tmp_path: Path) -> None:
@@ -217,12 +218,12 @@ def test_fewer_loops_of_a_formed_sheet_are_as_true_as_all_and_kept_for_first_loo
     assert off.max() < 1.1 * step  # between two of its loops
     assert np.ptp(at[:, 2]) == pytest.approx(np.ptp(way[:, 2]), abs=1e-6)
     brief = processes.job(problem, 0, brief=True)
-    first = maker(tmp_path / "kept", problem, alike=True)(0, brief)
-    alike(maker(tmp_path / "kept", problem, alike=True)(0, processes.job(problem, 0, brief=True)), first)
-    made = maker(tmp_path / "kept", problem, alike=True)(0, processes.job(problem, 0))
+    first = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, brief)
+    alike(maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0, brief=True)), first)
+    made = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0))
     assert not made.thinned  # as where a plan is drawn beside them
     alike(
-        maker(tmp_path / "kept", problem, alike=True)(0, brief), made
+        maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, brief), made
     )  # the whole ones, once they are there
 
 
