@@ -52,11 +52,12 @@ class Serve:
     oidc_secret: Path | None = None
     """file with its secret there"""
     oidc_role: tuple[str, ...] = ()
-    """VALUE=ROLE: whose claim has the value may view, plan or release; *=view for all accounts"""
+    """VALUE=ROLE: whose claim has the value may view, plan or release, or by a scope submit or released;
+    *=view for all accounts; =ROLE@TEAM in that team, =released@TEAM:TAG jobs with that tag"""
     oidc_claim: str = "groups"
     """the claim that is meant"""
     oidc_team: str | None = None
-    """team of all accounts, whose jobs they all see; else each sees its own alone"""
+    """team of accounts whose role says none, whose jobs they all see; else each sees its own alone"""
     oidc_scope: str = "openid profile email"
     """scopes that are asked for"""
     webhook_host: tuple[str, ...] = ()

@@ -48,7 +48,7 @@ class Work:
     working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet, ``tolerance`` [m]
     how far the part's mesh may be off the face that is meant. ``every``: how many moves the controllers of
     two arms go between meetings; 0 where they go by one clock. ``before``: the features that other operations
-    have formed."""
+    have formed. ``between``: targets are added until what lies between them holds, too."""
 
     operation: Forming
     sheet: Sheet
@@ -233,8 +233,8 @@ FEWER_PLACES: Final = 4.0
 
 
 def fewer(work: Work) -> Work:
-    """The same work with fewer loops and places, all of which the true way has alike; itself where that is of
-    no use: few loops, or a way whose turns hang on one another."""
+    """The same work with fewer loops and places, all of which the true way has alike, whatever lies between
+    them; itself where that is of no use: few loops, or a way whose turns hang on one another."""
     op = work.operation
     if op.mode == "adsif":
         return work

@@ -90,7 +90,7 @@ def _least_up(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def _least(vertices: FloatArray, faces: IntArray, up: FloatArray) -> FloatArray:
-    """The least (V,) of what the corners of facets have, ``up`` (F, 3), about each vertex; 1 where none is."""
+    """The least (V,) of what corners of facets have, ``up`` (F, 3), about each vertex; 1 where none is."""
     least = np.ones(len(vertices))
     np.minimum.at(least, faces.reshape(-1), up.reshape(-1))
     return least

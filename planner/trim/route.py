@@ -100,7 +100,10 @@ def route(
         ways = np.stack([axis, *leant], axis=1)
         low = pivot[:, None] - tool.deep * ways
         off = check.clear_of(tool.body, places, low, ways, op.clear_mm * MM)
-        issues += [*check.wall_issue(slot, tip, off[:, 0], op, tool), *check.rise_issue(slot, axis, face.side)]
+        issues += [
+            *check.wall_issue(slot, tip, off[:, 0], op, tool),
+            *check.rise_issue(slot, axis, face.side),
+        ]
         cut = (own_outline, tool, part, float(setup.stock.size[2]), face.side)
         issues += check.gouge_issue(slot, *check.gouged(*cut, whole), op)
         if has_errors(issues):

@@ -25,11 +25,27 @@ class Other:
 
 
 ALL = [
-    0, 0.0, -0.0, False, None, "", "0", 1, True, 1.0, np.float32(1.0), (), (0,), (0, 0), ((0,), 0), (0, (0,)), ("ab", "c"),
-    ("a", "bc"), {}, {"a": 1}, {"a": "1"}, One(1), Other(1), One("1"), Severity.ERROR, Severity.NOTE, float("nan"), float("inf"),
-    np.zeros(2), np.zeros(2, np.float32), np.zeros(2, np.int64), np.zeros((2, 1)), np.zeros((1, 2)), np.array([0.0, -0.0]),
-    np.array([0.0, 5e-324]), "\ud800",
-]  # fmt: skip
+    *(
+        0,
+        0.0,
+        -0.0,
+        False,
+        None,
+        "",
+        "0",
+        1,
+        True,
+        1.0,
+        np.float32(1.0),
+        float("nan"),
+        float("inf"),
+        "\ud800",
+    ),
+    *((), (0,), (0, 0), ((0,), 0), (0, (0,)), ("ab", "c"), ("a", "bc"), {}, {"a": 1}, {"a": "1"}),
+    *(One(1), Other(1), One("1"), Severity.ERROR, Severity.NOTE),
+    *(np.zeros(2), np.zeros(2, np.float32), np.zeros(2, np.int64), np.zeros((2, 1)), np.zeros((1, 2))),
+    *(np.array([0.0, -0.0]), np.array([0.0, 5e-324])),
+]
 
 
 def test_no_two_values_have_one_digest() -> None:

@@ -219,7 +219,10 @@ def test_fewer_loops_of_a_formed_sheet_are_as_true_as_all_and_kept_for_first_loo
     assert np.ptp(at[:, 2]) == pytest.approx(np.ptp(way[:, 2]), abs=1e-6)
     brief = processes.job(problem, 0, brief=True)
     first = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, brief)
-    alike(maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0, brief=True)), first)
+    alike(
+        maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0, brief=True)),
+        first,
+    )
     made = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0))
     assert not made.thinned  # as where a plan is drawn beside them
     alike(

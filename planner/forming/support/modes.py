@@ -300,7 +300,8 @@ def tool_path(
     ``thickness`` [m] of the flat sheet; ``clamp``: what a source of heat leans away from;
     ``every``: moves between meetings of two controllers, 0 for one clock. The result's
     contact has more targets where straight moves would let the gap, or the support's way along the border,
-    off by too much, but none if not ``between``. Raises ``TandemError`` (forming.support_tool) where the mode has no such support.
+    off by too much, but none if not ``between``. Raises ``TandemError`` (forming.support_tool) where the mode
+    has no such support.
     """
     _require(operation, former, support)
     mode = operation.mode
