@@ -336,6 +336,14 @@ def restore(asked: Restore) -> None:
         raise TandemError(not_installed(error)) from error
     made = backup.restore(asked.folder, asked.data, asked.database)
     _tell(f"{asked.data}: restored {made.jobs} jobs, {made.files} files, {made.size / 1e6:,.1f} MB")
+    from planner.service.security import Auth
+
+    database = _opened(_Store(data=asked.data, database=asked.database))
+    alive = [one.name for one in Auth(database).list() if one.revoked is None]
+    database.close()
+    if alive:
+        what = f"tokens and accounts are in force as they were then: {', '.join(alive)}, with their links; "
+        _tell(f"{what}revoke again what was revoked since: tandem token revoke NAME")
 
 
 def _tell(what: str) -> None:

@@ -373,6 +373,35 @@ def test_groups_of_the_provider_give_role_team_and_scope(
     assert (session.role, session.team, session.scope, session.tag) == wanted
 
 
+ODD: dict[str, Any] = {
+    "all, by its sign": ["*"],
+    "a word that holds one": "xshopx",
+    "a mapping": {"shop": True, "release": True},
+    "lists in lists": [["shop"], [["release"]]],
+    "numbers and nothing": [None, 7, 1e400, True],
+    "very many": [f"group {number}" for number in range(500)],
+    "with marks that turn": ["\u202eshop", "shop\u200b", " shop", "SHOP"],
+    "a rule of the command line": ["shop=release", "release@shop"],
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_groups_give_nothing(log_in: LogIn, forger: Forger, name: str) -> None:
+    address, cookie = went(log_in, forger)
+    forger.claims["groups"] = ODD[name]
+    with pytest.raises(RefusedError, match="has no role here") as error:
+        log_in.end(address, REDIRECT, cookie)
+    assert error.value.status == 403
+    assert log_in._auth.list() == ()
+
+
+def test_names_of_accounts_are_plain_whatever_the_provider_tells(log_in: LogIn, forger: Forger) -> None:
+    address, cookie = went(log_in, forger)
+    forger.claims |= {"email": "<script>alert(1)</script>\u202eann" + "x" * 10_000}
+    who, _ = log_in.end(address, REDIRECT, cookie)
+    assert re.fullmatch(r"[A-Za-z0-9_.@-]{1,64}", who.name)
+
+
 def test_in_another_team_an_account_begins_anew(log_in: LogIn, forger: Forger, tmp_path: Path) -> None:
     """What it made stays with the team that it was in; what was revoked in one team is so in all."""
     made, auth = teams(log_in, tmp_path), log_in._auth
