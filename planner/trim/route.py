@@ -108,7 +108,7 @@ def route(
         issues += check.gouge_issue(slot, *check.gouged(*cut, whole), op)
         if has_errors(issues):
             continue
-        ok = (off[:, 1:] >= op.clear_mm * MM).all(axis=1)
+        ok: BoolArray = np.asarray((off[:, 1:] >= op.clear_mm * MM).all(axis=1))
         for k in range(1, ways.shape[1]):
             ok &= check.gouged(*cut, (low[:, k], ways[:, k]))[0] <= op.shape_tol_mm * MM
         lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), most, 0.0)
