@@ -52,11 +52,12 @@ class Serve:
     oidc_secret: Path | None = None
     """file with its secret there"""
     oidc_role: tuple[str, ...] = ()
-    """VALUE=ROLE: whose claim has the value may view, plan or release; *=view for all accounts"""
+    """VALUE=ROLE: whose claim has the value may view, plan or release, or by a scope submit or released;
+    *=view for all accounts; =ROLE@TEAM in that team, =released@TEAM:TAG jobs with that tag"""
     oidc_claim: str = "groups"
     """the claim that is meant"""
     oidc_team: str | None = None
-    """team of all accounts, whose jobs they all see; else each sees its own alone"""
+    """team of accounts whose role says none, whose jobs they all see; else each sees its own alone"""
     oidc_scope: str = "openid profile email"
     """scopes that are asked for"""
     webhook_host: tuple[str, ...] = ()
@@ -335,6 +336,14 @@ def restore(asked: Restore) -> None:
         raise TandemError(not_installed(error)) from error
     made = backup.restore(asked.folder, asked.data, asked.database)
     _tell(f"{asked.data}: restored {made.jobs} jobs, {made.files} files, {made.size / 1e6:,.1f} MB")
+    from planner.service.security import Auth
+
+    database = _opened(_Store(data=asked.data, database=asked.database))
+    alive = [one.name for one in Auth(database).list() if one.revoked is None]
+    database.close()
+    if alive:
+        what = f"tokens and accounts are in force as they were then: {', '.join(alive)}, with their links; "
+        _tell(f"{what}revoke again what was revoked since: tandem token revoke NAME")
 
 
 def _tell(what: str) -> None:

@@ -25,6 +25,7 @@ from planner.geometry.mesh import (
     face_normals,
     small_pieces,
 )
+from planner.geometry.remembered import remembered
 
 MIRROR: Final = np.array([1.0, 1.0, -1.0])
 """What turns points and directions of a face below the sheet over: times this, they are above."""
@@ -47,6 +48,12 @@ _FEW_SHARE: Final = 0.5
 """Pairs are not counted where that says that they are fewer than this share of what is allowed."""
 _MOST_PIECES: Final = 150_000
 """Pieces at most into which triangles of about one size are divided."""
+
+
+@remembered
+def smooth_normals(mesh: TriangleMesh) -> FloatArray:
+    """Unit normals (F, 3, 3) at the corners of each face, smooth but over creases."""
+    return corner_normals(mesh, CREASE_ANGLE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +82,7 @@ class Face:
             mesh = TriangleMesh(mesh.vertices, mesh.faces[near])
         self.mesh, self.radius = mesh, radius
         self.normals = face_normals(mesh)
-        self.smooth = corner_normals(mesh, CREASE_ANGLE)
+        self.smooth = smooth_normals(mesh)
         self._corners = mesh.vertices[mesh.faces]
         self._offset = dots(self._corners[:, 0], self.normals)
         edge = np.linalg.norm(np.roll(self._corners, -1, axis=1) - self._corners, axis=2).max(axis=1)

@@ -32,6 +32,7 @@ from planner.forming.features.tree import FeatureTree, OrderStep
 from planner.forming.operation import Forming
 from planner.forming.sheet_mechanics import steepest, thickness_map
 from planner.geometry.arrays import FloatArray, Mesh
+from planner.geometry.remembered import remembered
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -269,6 +270,7 @@ def stood(before: float, operation: Forming, metal: SheetMetal) -> float:
     return max(limit + SAME_ANGLE, before + max(LARGEST_ANGLE_STEP, operation.angle_step_deg * DEG) + DEG)
 
 
+@remembered
 def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float, male: bool) -> Pass:
     """The last pass over a feature.
 

@@ -48,7 +48,7 @@ class Work:
     working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet, ``tolerance`` [m]
     how far the part's mesh may be off the face that is meant. ``every``: how many moves the controllers of
     two arms go between meetings; 0 where they go by one clock. ``before``: the features that other operations
-    have formed."""
+    have formed. ``between``: targets are added until what lies between them holds, too."""
 
     operation: Forming
     sheet: Sheet
@@ -62,6 +62,7 @@ class Work:
     tolerance: float = 0.0
     every: int = 0
     before: tuple[int, ...] = ()
+    between: bool = True
 
     @functools.cached_property
     def left(self) -> Mesh:
@@ -127,7 +128,7 @@ class Work:
             scallop=None if op.scallop_mm is None else op.scallop_mm * MM,
             tangent_angle=op.tangent_deg * DEG,
             chord=op.chord_mm * MM,
-            cut=JOINED_SHARE * op.gouge_tol_mm * MM,
+            cut=JOINED_SHARE * op.gouge_tol_mm * MM if self.between else np.inf,
             start_angle=op.seam_deg * DEG,
             direction=op.direction,
             longest=op.longest_mm * MM,
@@ -223,15 +224,17 @@ TOP_WIDTH: Final = 5.0 * MM
 """Loops about the top of a male die that are no wider than this [m] may be left out."""
 
 
-FEW_LOOPS: Final = 6
-"""Loops of a pass that a first look is made of at most;"""
+FEW_LOOPS: Final = 12
+"""Loops that a first look is made of, over all passes;"""
+LOOPS_OF_PASS: Final = (2, 6)
+"""of each pass so many at least, and at most;"""
 FEWER_PLACES: Final = 4.0
 """it has so many times fewer places on each."""
 
 
 def fewer(work: Work) -> Work:
-    """The same work with fewer loops and places, all of which the true way has alike; itself where that is of
-    no use: few loops, or a way whose turns hang on one another."""
+    """The same work with fewer loops and places, all of which the true way has alike, whatever lies between
+    them; itself where that is of no use: few loops, or a way whose turns hang on one another."""
     op = work.operation
     if op.mode == "adsif":
         return work
@@ -240,8 +243,9 @@ def fewer(work: Work) -> Work:
     more |= {"tangent_deg": op.tangent_deg * FEWER_PLACES, "longest_mm": op.longest_mm * FEWER_PLACES}
     if op.stepdown_mm is not None:
         deep = max(abs(one.end - one.start) for one in work.passes) / MM
-        more["stepdown_mm"] = max(op.stepdown_mm, deep / FEW_LOOPS)
-    return dataclasses.replace(work, operation=op.model_copy(update=more))
+        loops = np.clip(FEW_LOOPS // len(work.passes), *LOOPS_OF_PASS)
+        more["stepdown_mm"] = max(op.stepdown_mm, deep / float(loops))
+    return dataclasses.replace(work, operation=op.model_copy(update=more), between=False, every=0)
 
 
 def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:
@@ -269,14 +273,14 @@ def lay(work: Work, one: Pass, part: Callable[[ContactPath], ContactPath] | None
     if op.mode == "adsif" and other is not None:
         return adsif_tool_path(one, op, former, work.heads[other], work.thickness, work.sheet.metal)
     options = work.options
-    if op.mode in GAP_MODES or op.mode == "heat":
+    if work.between and (op.mode in GAP_MODES or op.mode == "heat"):
         options = dataclasses.replace(options, spare=_spare(work, one))
     contact = make_path(one, former.radius, options)
     if work.tree.feature(one.feature).sign == one.side:
         contact = _off_the_top(contact, LEAST_MOVE_TIME * op.feed_mm_s * MM)
     contact = contact if part is None else part(contact)
     support = None if other is None else work.heads[other]
-    return tool_path(one, contact, op, former, support, work.thickness, work.clamp, work.every)
+    return tool_path(one, contact, op, former, support, work.thickness, work.clamp, work.every, work.between)
 
 
 def _spare(work: Work, one: Pass) -> float:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.catalogue.materials import SheetMetal
-from planner.forming.contact import CREASE_ANGLE, Pass
+from planner.forming.contact import Pass, smooth_normals
 from planner.geometry.arrays import FloatArray, IntArray
-from planner.geometry.mesh import TriangleMesh, corner_normals, face_areas, face_normals
+from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.geometry.units import DEG, GRAVITY, MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -75,8 +75,8 @@ def by_corner(surface: Pass, thickness: float) -> tuple[FloatArray, IntArray, Fl
     as their normals. ``thickness`` [m] of the flat sheet.
     """
     mesh = TriangleMesh(surface.vertices, surface.faces)
-    up = np.clip(corner_normals(mesh, CREASE_ANGLE)[:, :, 2], 0.0, 1.0)
-    single = thickness * _least_up(surface.vertices, surface.faces)
+    up = np.clip(smooth_normals(mesh)[:, :, 2], 0.0, 1.0)
+    single = thickness * _least(surface.vertices, surface.faces, up)
     earlier = np.where(single > 0.0, surface.thickness / np.maximum(single, 1e-12), 1.0)
     value = thickness * up * np.minimum(earlier, 1.0)[surface.faces]
     corners = surface.vertices[surface.faces].reshape(-1, 3)
@@ -85,7 +85,12 @@ def by_corner(surface: Pass, thickness: float) -> tuple[FloatArray, IntArray, Fl
 
 def _least_up(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """The least z (V,) of the unit normals about each vertex, smooth but over creases, within [0, 1]."""
-    up = np.clip(corner_normals(TriangleMesh(vertices, faces), CREASE_ANGLE)[:, :, 2], 0.0, 1.0)
+    up = np.clip(smooth_normals(TriangleMesh(vertices, faces))[:, :, 2], 0.0, 1.0)
+    return _least(vertices, faces, up)
+
+
+def _least(vertices: FloatArray, faces: IntArray, up: FloatArray) -> FloatArray:
+    """The least (V,) of what corners of facets have, ``up`` (F, 3), about each vertex; 1 where none is."""
     least = np.ones(len(vertices))
     np.minimum.at(least, faces.reshape(-1), up.reshape(-1))
     return least

@@ -24,6 +24,7 @@ from planner.forming.features.tree import FeatureTree, OrderStep, given_order, i
 from planner.geometry.arrays import FloatArray, Mesh, Shape, transform
 from planner.geometry.mesh import small_pieces
 from planner.geometry.mesh_queries import outer_hull
+from planner.geometry.remembered import remembered
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Hole, Stages, Stock
@@ -114,11 +115,20 @@ def with_states(
     sheet = stock.sheet
     if sheet is None:
         return stock
-    solids = list(sheet.formed)
-    for k in range(len(order)):
-        done = sorted({*before, *(step.feature for step in order[: k + 1])})
-        solids += _standing(formed_sheet(mesh, tree, done), tree.level, float(stock.size[2]), solids)
-    return dataclasses.replace(stock, sheet=dataclasses.replace(sheet, formed=tuple(solids)))
+    states = [sorted({*before, *(step.feature for step in order[: k + 1])}) for k in range(len(order))]
+    more = _all_standing(mesh, tree, states, float(stock.size[2]), sheet.formed)
+    return dataclasses.replace(stock, sheet=dataclasses.replace(sheet, formed=(*sheet.formed, *more)))
+
+
+@remembered
+def _all_standing(
+    mesh: Mesh, tree: FeatureTree, states: list[list[int]], thickness: float, known: tuple[Shape, ...]
+) -> list[Shape]:
+    """Hulls, beside those ``known``, of what stands out of the sheet with the features of each state done."""
+    solids = list(known)
+    for done in states:
+        solids += _standing(formed_sheet(mesh, tree, done), tree.level, thickness, solids)
+    return solids[len(known) :]
 
 
 def _standing(mesh: Mesh, level: float, thickness: float, known: Sequence[Shape]) -> list[Shape]:

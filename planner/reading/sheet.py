@@ -31,6 +31,7 @@ from planner.geometry.mesh_repair import (
     sewn,
     vertex_noise,
 )
+from planner.geometry.remembered import remembered
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Formed, Part, Sheet, Stock
@@ -463,6 +464,7 @@ def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:
         )
 
 
+@remembered
 def _solids(mesh: Mesh, thickness: float) -> list[Shape]:
     """Hulls (stock frame) of what stands out below and above the flat sheet."""
     out = []

@@ -3,18 +3,12 @@
 A whole check takes those of the very same problem. A first look takes those of a problem that differs in
 nothing that a process sees as well: a job is made of its operation, of tools, controller and wires of the
 cell, of block and part, so where arms and block stand, obstacles, margins and names do not count, but how a
-block leans does. Brief ones, which a first look made, are for first looks alone. The files are pickles of
-this service's own, in a folder that nobody else writes into.
+block leans does. Brief ones, which a first look made, are for first looks alone.
 """
 
 from __future__ import annotations
 
-import os
-import pickle
-import secrets
 from collections.abc import Mapping
-from contextlib import suppress
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,10 +16,9 @@ import numpy as np
 from planner.pipeline import Make
 from planner.problem import Problem
 from planner.reading import problem as problem_file
+from planner.service.kept_files import KeptFiles
 from planner.targets import Job, Targets
 
-MOST_BYTES: Final = 300_000_000
-"""Files that are kept at most; those that were not asked for the longest time go first."""
 UNSEEN: Final = ("name", "settings", "accept")
 """Fields of a problem that no process sees;"""
 UNSEEN_CELL: Final = ("name", "obstacles")
@@ -74,62 +67,22 @@ def _without(values: Mapping[str, Any], fields: tuple[str, ...]) -> dict[str, An
     return {key: value for key, value in values.items() if key not in fields}
 
 
-def maker(folder: Path, problem: Problem, alike: bool) -> Make:
-    """What makes the targets of a problem's operations and keeps them in ``folder``, or finds them there;
-    ``alike``: those of a problem that processes see alike will do."""
+def maker(kept: KeptFiles, problem: Problem, alike: bool) -> Make:
+    """What makes the targets of a problem's operations and keeps them, or finds them; ``alike``: those of a
+    problem that processes see alike will do."""
     same, like = problem.digest, seen_alike(problem)
 
     def make(index: int, job: Job[Any]) -> Targets:
-        whole = [folder / f"{same}-{index}", folder / f"{like}-{index}"]
-        brief = folder / f"{like}-{index}-brief"
-        for path in whole if alike else whole[:1]:
-            if found := _kept(path):
+        whole = [f"{same}-{index}", f"{like}-{index}"]
+        brief = f"{like}-{index}-brief"
+        for name in whole if alike else whole[:1]:
+            if isinstance(found := kept.get(name), Targets):
                 return found
-        if job.brief and alike and (found := _kept(brief)):
+        if job.brief and alike and isinstance(found := kept.get(brief), Targets):
             return found
         made = job.targets()
-        _keep(folder, [brief] if job.brief else whole, pickle.dumps(made, pickle.HIGHEST_PROTOCOL))
+        first, *others = [brief] if job.brief else whole
+        kept.put(first, made, others)
         return made
 
     return make
-
-
-def _kept(path: Path) -> Targets | None:
-    """What is kept there, which is used now; None where there is nothing."""
-    with suppress(OSError, EOFError, pickle.UnpicklingError):
-        made = pickle.loads(path.read_bytes())
-        if isinstance(made, Targets):
-            os.utime(path)
-            return made
-    return None
-
-
-def _keep(folder: Path, names: list[Path], content: bytes) -> None:
-    """Write a file under several names, each whole or not at all; on a full disk, none."""
-    if len(content) > MOST_BYTES // 2:
-        return
-    with suppress(OSError):
-        folder.mkdir(exist_ok=True, mode=0o700)
-        _make_room(folder, len(content))
-        for path in names:
-            new = folder / f".{secrets.token_hex(8)}"
-            if path is names[0]:
-                new.write_bytes(content)
-            else:
-                new.hardlink_to(names[0])
-            new.replace(path)
-
-
-def _make_room(folder: Path, size: int) -> None:
-    """Remove what was asked for the longest time ago until ``size`` bytes more have room."""
-    known = []
-    for path in folder.iterdir():
-        with suppress(OSError):  # another process has removed it
-            about = path.stat()
-            known.append((about.st_mtime, about.st_size / about.st_nlink, path))
-    total = sum(own for _, own, _ in known)
-    for _, own, path in sorted(known):
-        if total + size <= MOST_BYTES:
-            break
-        path.unlink(missing_ok=True)
-        total -= own

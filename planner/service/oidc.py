@@ -1,8 +1,9 @@
 """Logging in by an OpenID Connect provider: people use the accounts that they have.
 
 The code flow with PKCE (OpenID Connect Core 1.0, section 3.1; RFC 7636), by Authlib. An account of the
-provider becomes a token of the store that no secret opens: jobs, roles, teams and the audit log are as of any
-other. Role and name are those that the provider tells at each log-in.
+provider becomes a token of the store that no secret opens: jobs, roles, scopes, teams and the audit log are
+as of any other. They and its name are those that the provider tells at each log-in. In another team it is
+another token: what it did stays with the team that it was in.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ from joserfc.errors import InvalidKeyIdError, JoseError
 from joserfc.jwk import KeySet
 
 from planner.issues import Issue, TandemError
-from planner.service.models import TOKEN_ROLES, Database, TokenRole
-from planner.service.security import Auth, RefusedError, Who, in_clear, shared_secret
+from planner.service.models import TOKEN_ROLES, Database, TokenRole, TokenScope
+from planner.service.scopes import ROLE_OF, scope_fault
+from planner.service.security import TOKEN_NAME, Auth, RefusedError, Who, in_clear, shared_secret
 
 ALGORITHMS: Final = ("RS256", "PS256", "ES256")
 """How ID tokens may be signed: with keys of the provider alone."""
@@ -51,24 +53,39 @@ AT_ONCE: Final = 3
 LEEWAY_S: Final = 60
 """What clocks of provider and service may differ by [s]."""
 ANY: Final = "*"
-"""Stands for every account of the provider."""
+"""Stands for every account of the provider that has none of the other values."""
 NAMES: Final = ("email", "preferred_username", "sub")
 """Claims by which an account may be called, the first one that is there; of addresses those that the provider
 has verified: others may be anybody's."""
 
 
 @dataclasses.dataclass(frozen=True)
+class Grant:
+    """What an account may: its ``role``, or less by a ``scope`` and its ``tag``, in its ``team``; ``own``:
+    that is the team of this grant alone, and not that of all accounts."""
+
+    role: TokenRole
+    team: str | None = None
+    scope: TokenScope | None = None
+    tag: str | None = None
+    own: bool = False
+
+
+MOST_FIRST: Final = ("release", "plan", "submit", "view", "released")
+"""Roles and scopes, the one that may most first."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Oidc:
     """How people log in. ``issuer``: the provider's address; ``client`` and its ``secret``, as registered
-    there. Whose ``claim`` has one of the values of ``roles``, or :data:`ANY`, has that role, the one that may
-    most; others are refused. ``team`` of all of them."""
+    there. Whose ``claim`` has one of the values of ``grants``, else :data:`ANY`, may that, of several the one
+    that may most, of equal ones the first; others are refused."""
 
     issuer: str
     client: str
     secret: str
-    roles: Mapping[str, TokenRole]
+    grants: Sequence[tuple[str, Grant]]
     claim: str = "groups"
-    team: str | None = None
     scope: str = "openid profile email"
 
 
@@ -93,18 +110,37 @@ def read(
         raise _wrong(
             "oidc-secret", f"{secret} cannot be read ({error}); give a file with the secret"
         ) from error
-    found: dict[str, TokenRole] = {}
-    for one in roles:
-        value, equals, role = one.rpartition("=")
-        if not value or not equals or role not in TOKEN_ROLES:
-            allowed = ", ".join(TOKEN_ROLES)
-            raise _wrong("oidc-role", f"got {one[:80]!r}; give VALUE=ROLE, roles are {allowed}")
-        found[value] = role
+    if team is not None and not TOKEN_NAME.fullmatch(team):
+        raise _wrong("oidc-team", f"got {team[:80]!r}; use letters, digits and _ . @ -, at most 64")
+    found = [_grant(one, team) for one in roles]
     if not found:
         raise _wrong(
             "oidc-role", f"nobody could do anything; give --oidc-role VALUE=ROLE, {ANY}=view for all"
         )
-    return Oidc(issuer, client, word, found, claim, team, scope)
+    return Oidc(issuer, client, word, tuple(found), claim, scope)
+
+
+_GRANT: Final = re.compile(r"(?P<value>.+)=(?P<may>[a-z]+)(@(?P<team>[^:]*))?(:(?P<tag>.*))?", re.DOTALL)
+"""``VALUE=ROLE@TEAM``, or ``VALUE=SCOPE@TEAM:TAG``."""
+
+
+def _grant(text: str, team: str | None) -> tuple[str, Grant]:
+    """A value of the claim and what it may, in the ``team`` of all accounts unless it says another. Raises
+    ``TandemError``."""
+    found = _GRANT.fullmatch(text)
+    if found is None or found["may"] not in MOST_FIRST:
+        what = f"got {text[:80]!r}; give VALUE=ROLE, or VALUE=ROLE@TEAM, where ROLE is one of "
+        raise _wrong("oidc-role", f"{what}{', '.join(TOKEN_ROLES)}, or a scope, {' or '.join(ROLE_OF)}")
+    own, may, tag = found["team"], found["may"], found["tag"]
+    if own is not None and not TOKEN_NAME.fullmatch(own):
+        what = f"got {text[:80]!r}, whose team is {own[:64]!r}; use letters, digits and _ . @ -, at most 64"
+        raise _wrong("oidc-role", what)
+    scope: TokenScope | None = "submit" if may == "submit" else "released" if may == "released" else None
+    role = ROLE_OF[scope] if scope else next(one for one in TOKEN_ROLES if one == may)
+    given = Grant(role, team if own is None else own, scope, tag, own is not None)
+    if fault := scope_fault(role, given.team, scope, tag):
+        raise _wrong("oidc-role", f"got {text[:80]!r}; {fault.message}")
+    return found["value"], given
 
 
 def _wrong(field: str, what: str) -> TandemError:
@@ -173,14 +209,27 @@ class LogIn:
                 claims = self._claims(token, about, keys, asked.nonce)
             except InvalidKeyIdError:  # it may have changed its keys
                 claims = self._claims(token, *self._provider(anew=True), asked.nonce)
-        account = f"{about['issuer']} {claims['sub']}"
+        known = self._accounts(f"{about['issuer']} {claims['sub']}")
         try:
-            role = self.role(claims)
+            grant = self.grant(claims)
         except RefusedError:
-            self._auth.close_account(account)
+            self._auth.close_accounts(list(known.values()))
             raise
-        who = self._auth.account(account, called(claims), role, self.oidc.team)
+        who = self._auth.account(
+            known[grant.team if grant.own else None],
+            called(claims),
+            grant.role,
+            grant.team,
+            grant.scope,
+            grant.tag,
+            list(known.values()),
+        )
         return dataclasses.replace(who, expires=time.time() + SESSION_S), asked.next
+
+    def _accounts(self, account: str) -> dict[str | None, str]:
+        """The keys of an account in each team that a grant says, and in that of all, None."""
+        teams = {grant.team for _, grant in self.oidc.grants if grant.own}
+        return {None: account, **{team: f"{account} team {team}" for team in sorted(filter(None, teams))}}
 
     @contextlib.contextmanager
     def _one(self) -> Iterator[None]:
@@ -193,18 +242,19 @@ class LogIn:
         finally:
             self._room.release()
 
-    def role(self, claims: Mapping[str, Any]) -> TokenRole:
-        """The role that may most of those that claims give; an address counts if the provider has verified
-        it. Raises :class:`RefusedError`, 403."""
+    def grant(self, claims: Mapping[str, Any]) -> Grant:
+        """What claims give, of several grants the one that may most; an address counts if the provider has
+        verified it. Raises :class:`RefusedError`, 403."""
         trusted = self.oidc.claim != "email" or claims.get("email_verified") is True
         given = claims.get(self.oidc.claim) if trusted else None
         listed = [given] if isinstance(given, str) else given if isinstance(given, list) else []
         values = set(map(str, listed))
-        found = [role for value, role in self.oidc.roles.items() if value == ANY or value in values]
+        found = [grant for value, grant in self.oidc.grants if value != ANY and value in values]
+        found = found or [grant for value, grant in self.oidc.grants if value == ANY]
         if not found:
             what = f"the account {called(claims)} has no role here; ask who runs the service"
             raise RefusedError(403, Issue("service.role", what, field=self.oidc.claim))
-        return max(found, key=TOKEN_ROLES.index)
+        return min(found, key=lambda grant: MOST_FIRST.index(grant.scope or grant.role))
 
     def _claims(self, token: str, about: Mapping[str, Any], keys: KeySet, nonce: str) -> dict[str, Any]:
         """Those of an ID token that the provider has signed for this log-in (Core 1.0, section 3.1.3.7).

@@ -126,7 +126,7 @@ TOKENS_PER_QUERY: Final = 500
 """Tokens that one query of the database asks for."""
 _TOKEN: Final = re.compile(r"tandem_([0-9a-f]{16})_[A-Za-z0-9_-]{43}")
 """A token: the identifier that the database knows, and the secret."""
-_TOKEN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+TOKEN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
 """A name that a token, or a team, may have."""
 _LASTS: Final = re.compile(r"([1-9][0-9]{0,3})([hdw])")
 """How long a token is good for."""
@@ -211,7 +211,7 @@ class Auth:
         if fault := scope_fault(role, team, scope, tag):
             raise TandemError(fault)
         for one, field in ((name, "name"), (team, "team")):
-            if one is not None and not _TOKEN_NAME.fullmatch(one):
+            if one is not None and not TOKEN_NAME.fullmatch(one):
                 raise TandemError(_bad_name(one, "use letters, digits and _ . @ -, at most 64", field))
         number = secrets.token_hex(8)
         token = f"tandem_{number}_{secrets.token_urlsafe(32)}"
@@ -226,32 +226,44 @@ class Auth:
             raise TandemError(_bad_name(name, "there is a token of that name; choose another")) from error
         return token
 
-    def account(self, key: str, name: str, role: TokenRole, team: str | None) -> Who:
+    def account(
+        self,
+        key: str,
+        name: str,
+        role: TokenRole,
+        team: str | None,
+        scope: TokenScope | None = None,
+        tag: str | None = None,
+        every: Sequence[str] = (),
+    ) -> Who:
         """The account ``key`` of a provider, as a token that no secret opens; another one that is called so
-        already has the ``name`` for itself. Raises :class:`RefusedError`, 403, where it was revoked."""
-        number = hashlib.sha256(key.encode()).hexdigest()[:16]
+        already has the ``name`` for itself. ``every``: the keys of the same account in all teams, whose
+        sessions end but those of this one. Raises :class:`RefusedError`, 403, where one was revoked."""
+        number, same = _account(key), {_account(one) for one in (key, *every)}
         plain = re.sub(r"[^A-Za-z0-9_.@-]", "_", name).lstrip("_.@-")[:64] or number
         with self._database.write() as db:
             self._database.one_at_a_time(db, "accounts")
-            row = db.execute(select(TOKENS).where(TOKENS.c.id == number)).mappings().first()
-            if row is not None and row["revoked"] is not None:
-                raise RefusedError(403, Issue("service.log_in", f"the account {row['name']} was revoked"))
+            rows = db.execute(select(TOKENS).where(TOKENS.c.id.in_(same))).mappings().all()
+            for row in rows:
+                if row["revoked"] is not None:
+                    raise RefusedError(403, Issue("service.log_in", f"the account {row['name']} was revoked"))
             taken = select(TOKENS.c.id).where(TOKENS.c.name == plain, TOKENS.c.id != number)
             if db.execute(taken).first() is not None:
                 plain = f"{plain[:55]}-{number[:8]}"
-            known = {"name": plain, "role": role, "team": team}
-            if row is None:
+            known = {"name": plain, "role": role, "team": team, "scope": scope, "tag": tag}
+            if number not in {row["id"] for row in rows}:
                 made = {"id": number, "hash": f"account {number}", "created": self._database.clock()}
                 db.execute(insert(TOKENS).values(made | known))
             else:
                 db.execute(update(TOKENS).where(TOKENS.c.id == number).values(known))
-        return Who(number, plain, role, team)
+            if others := same - {number}:
+                db.execute(delete(SESSIONS).where(SESSIONS.c.token.in_(others)))
+        return Who(number, plain, role, team, scope=scope, tag=tag)
 
-    def close_account(self, key: str) -> None:
-        """End the sessions of an account of a provider."""
-        number = hashlib.sha256(key.encode()).hexdigest()[:16]
+    def close_accounts(self, keys: Sequence[str]) -> None:
+        """End the sessions of accounts of a provider."""
         with self._database.write() as db:
-            db.execute(delete(SESSIONS).where(SESSIONS.c.token == number))
+            db.execute(delete(SESSIONS).where(SESSIONS.c.token.in_([_account(key) for key in keys])))
 
     def list(self) -> tuple[TokenInfo, ...]:
         """All tokens, the oldest first."""
@@ -379,6 +391,11 @@ def unauthorised(why: str) -> RefusedError:
     return RefusedError(
         401, Issue("service.token", why, field="Authorization"), {"WWW-Authenticate": "Bearer"}
     )
+
+
+def _account(key: str) -> str:
+    """The identifier of the token that an account of a provider is."""
+    return hashlib.sha256(key.encode()).hexdigest()[:16]
 
 
 def _hash(secret: str) -> str:

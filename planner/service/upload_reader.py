@@ -38,6 +38,7 @@ from planner.element.element_file import ElementFile
 from planner.element.nested_output import PROBLEMS
 from planner.files import FILE_KEYS, base_name, carried_name
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
+from planner.geometry.remembered import keeping
 from planner.geometry.thinning import thinned
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -47,6 +48,7 @@ from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Document
 from planner.report.raster import part_meshes
 from planner.service import kept_targets
+from planner.service.kept_files import KeptFiles
 from planner.service.upload_processes import Examined
 
 NOWHERE: Final = "files/not-uploaded"
@@ -479,11 +481,29 @@ def examine(
     cell: Mapping[str, Any] | None = None,
     fields: Mapping[str, Any] | None = None,
 ) -> Examined:
+    """As :func:`_examined`; with ``kept``, what is worked out of meshes is kept in that folder, too."""
+    files = None if kept is None else KeptFiles(kept)
+    with keeping(files):
+        return _examined(folder, problem, uploads, facets, reach, draw, targets, files, cell, fields or {})
+
+
+def _examined(
+    folder: Path,
+    problem: Path,
+    uploads: Mapping[str, Path],
+    facets: int,
+    reach: bool,
+    draw: bool,
+    targets: int | None,
+    kept: KeptFiles | None,
+    cell: Mapping[str, Any] | None,
+    fields: Mapping[str, Any],
+) -> Examined:
     """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
 
     ``folder`` is an empty one for this call alone. A mesh has at most ``facets``, three vertices for each.
     With ``reach`` the targets are made and reach is tested, at about so many ``targets`` where they are
-    given; those made are kept in the folder ``kept``. With ``draw`` there are ``shapes`` for the page, with
+    given; those made are ``kept``. With ``draw`` there are ``shapes`` for the page, with
     ``cell`` there is what :func:`planner.service.cell_view.view` draws for these arguments.
     ``fields`` take the place of those that the problem has.
     """
@@ -494,7 +514,7 @@ def examine(
     shutil.copyfile(problem, folder / PROBLEM)
     try:
         document = strict_yaml.read(folder / PROBLEM)
-        wrong = [*_replaced(document.data, fields or {})]
+        wrong = [*_replaced(document.data, fields)]
         document, faults = uploaded.inside(document)
         faults = [*wrong, *faults]
         if faults:
@@ -540,7 +560,7 @@ def examine(
 
 
 def _cell(
-    problem: Problem, folder: Path, kept: Path | None, asked: Mapping[str, Any]
+    problem: Problem, folder: Path, kept: KeptFiles | None, asked: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[Issue]]:
     count = len(problem.operations)
     if asked["operation"] >= count:

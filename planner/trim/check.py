@@ -21,8 +21,8 @@ from planner.trim.face import Face, apart
 from planner.trim.operation import Trim
 from planner.trim.slots import Slot, Wanted
 
-SIGHT: Final = 20.0 * MM
-"""What is farther off a torch than this [m] is as good as any other."""
+ROUNDING: Final = 1e-6
+"""Room [m] for rounding where places are left out that are too far off."""
 FACE_SPACING: Final = 2.0 * MM
 """Distance [m] of places of the face at which a torch is held against it."""
 MOST_PLACES: Final = 200_000
@@ -103,16 +103,26 @@ def _nearest(one: Wanted, free: shapely.Polygon) -> int:
     return int(np.argmin(shapely.distance(free.exterior, shapely.points(one.laid.point[:, :2]))))
 
 
-def clear_of(own: RoundBody, places: FloatArray, tips: FloatArray, axes: FloatArray) -> FloatArray:
-    """Least distance (N,) [m] of a tool's body, at each of ``tips`` with ``axes`` (N, 3) from there into the
-    tool, from ``places`` (P, 3); at most ``SIGHT``."""
-    out = np.empty(len(tips))
-    for k, (tip, axis) in enumerate(zip(tips, axes, strict=True)):
-        back = places @ axis - tip @ axis
-        some = (back > own.start - SIGHT) & (back < own.end + SIGHT)
-        rest, back = places[some] - tip, back[some]
-        beside = np.sqrt(np.maximum(np.einsum("ij,ij->i", rest, rest) - back * back, 0.0))
-        out[k] = own.distance(back, beside).min(initial=SIGHT)
+def clear_of(
+    own: RoundBody, places: FloatArray, tips: FloatArray, axes: FloatArray, sight: float
+) -> FloatArray:
+    """Least distance (N, L) [m] of a tool's body, at each of ``tips`` with ``axes`` (N, L, 3) from there into
+    the tool, from ``places`` (P, 3); at most ``sight`` [m]. The L of one row lean about one place."""
+    out = np.empty(tips.shape[:2])
+    wide, far = own.widest + sight, max(abs(own.start), abs(own.end)) + sight
+    # what comes near to any of a row is near to the first, as far as the others lean from it
+    aside = np.linalg.norm(tips - tips[:, :1], axis=2) + far * np.linalg.norm(axes - axes[:, :1], axis=2)
+    square = np.einsum("ij,ij->i", places, places)
+    for k, (row, ways) in enumerate(zip(tips, axes, strict=True)):
+        back = places @ ways[0] - row[0] @ ways[0]
+        beside = square - 2.0 * (places @ row[0]) + row[0] @ row[0] - back * back
+        most = wide + float(aside[k].max()) + ROUNDING
+        near = places[(beside < most * most) & (np.abs(back) < far + most)]
+        for number, (tip, axis) in enumerate(zip(row, ways, strict=True)):
+            rest = near - tip
+            back = rest @ axis
+            off = np.sqrt(np.maximum(np.einsum("ij,ij->i", rest, rest) - back * back, 0.0))
+            out[k, number] = own.distance(back, off).min(initial=sight)
     return out
 
 

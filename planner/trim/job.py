@@ -132,7 +132,8 @@ class TrimJob(Job[Trim]):
             raise TandemError(aggregate(issues))
         free = [w for w in wanted if not w.spec.joints]  # what hangs by joints stays
         cut = [Hole(w.spec.name, w.laid.point[:, :2], w.spec.drops == "inside") for w in free]
-        left = shown(self.formed, (*sheet.holes, *cut), op.name) if sheet.stages is not None else {}
+        drawn = sheet.stages is not None and not self.brief
+        left = shown(self.formed, (*sheet.holes, *cut), op.name) if drawn else {}
         return targets_of(op, self.setup, self.tool, tool, made, wanted, way, self.claims(), left)
 
     def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:

@@ -96,17 +96,21 @@ def route(
         heading = slot.heading[rows] if tool.blade is not None else np.full(len(rows), np.nan)
         pivot = point + raised[:, None] * axis
         tip = pivot - tool.deep * axis
-        off = check.clear_of(tool.body, places, tip, axis)
-        issues += [*check.wall_issue(slot, tip, off, op, tool), *check.rise_issue(slot, axis, face.side)]
+        leant = check.leans(axis, op.cone_deg * DEG) if tool.blade is None else []
+        ways = np.stack([axis, *leant], axis=1)
+        low = pivot[:, None] - tool.deep * ways
+        off = check.clear_of(tool.body, places, low, ways, op.clear_mm * MM)
+        issues += [
+            *check.wall_issue(slot, tip, off[:, 0], op, tool),
+            *check.rise_issue(slot, axis, face.side),
+        ]
         cut = (own_outline, tool, part, float(setup.stock.size[2]), face.side)
         issues += check.gouge_issue(slot, *check.gouged(*cut, whole), op)
         if has_errors(issues):
             continue
-        ok = np.ones(len(tip), dtype=bool)
-        for leant in check.leans(axis, op.cone_deg * DEG) if tool.blade is None else ():
-            low = pivot - tool.deep * leant
-            ok &= check.clear_of(tool.body, places, low, leant) >= op.clear_mm * MM
-            ok &= check.gouged(*cut, (low, leant))[0] <= op.shape_tol_mm * MM
+        ok: BoolArray = np.asarray((off[:, 1:] >= op.clear_mm * MM).all(axis=1))
+        for k in range(1, ways.shape[1]):
+            ok &= check.gouged(*cut, (low[:, k], ways[:, k]))[0] <= op.shape_tol_mm * MM
         lean = np.where(ok & np.append(ok[1:], True) & np.append(True, ok[:-1]), most, 0.0)
         if tool.through:  # not turned on the way down, and straight out again
             lean[(raised > 0.0) | np.append(True, raised[:-1] > 0.0)] = 0.0

@@ -13,10 +13,13 @@ import pytest
 from scipy.spatial import cKDTree
 
 from planner import pipeline, processes
+from planner.geometry.arrays import Mesh
+from planner.geometry.remembered import keeping
 from planner.issues import has_errors
 from planner.motion.first_look import FirstLook
 from planner.problem import Problem
 from planner.reading import strict_yaml
+from planner.service.kept_files import KeptFiles
 from planner.service.kept_targets import maker, seen, seen_alike
 from planner.targets import Targets
 from tests import small_forming, small_problem
@@ -181,8 +184,8 @@ def test_processes_make_the_same_targets_whatever_they_do_not_see(name: str, tmp
     one, other = pipeline.load(first), pipeline.load(second)
     assert one.digest != other.digest and seen_alike(one) == seen_alike(other)
     for index, (a, b) in enumerate(zip(processes.jobs(one), processes.jobs(other), strict=True)):
-        made = maker(tmp_path / "kept", one, alike=True)(index, a)
-        kept = maker(tmp_path / "kept", other, alike=True)(index, no_job)
+        made = maker(KeptFiles(tmp_path / "kept"), one, alike=True)(index, a)
+        kept = maker(KeptFiles(tmp_path / "kept"), other, alike=True)(index, no_job)
         alike(kept, made)
         alike(kept, b.targets())
         few = processes.job(other, index, brief=True).targets()
@@ -190,7 +193,7 @@ def test_processes_make_the_same_targets_whatever_they_do_not_see(name: str, tmp
         if not few.thinned:  # what a first look does not judge shapes none
             alike(few, made)
         with pytest.raises(AttributeError):  # a whole check makes its own
-            maker(tmp_path / "kept", other, alike=False)(index, no_job)
+            maker(KeptFiles(tmp_path / "kept"), other, alike=False)(index, no_job)
 
 
 def test_a_block_that_leans_otherwise_is_seen(tmp_path: Path) -> None:
@@ -217,13 +220,49 @@ def test_fewer_loops_of_a_formed_sheet_are_as_true_as_all_and_kept_for_first_loo
     assert off.max() < 1.1 * step  # between two of its loops
     assert np.ptp(at[:, 2]) == pytest.approx(np.ptp(way[:, 2]), abs=1e-6)
     brief = processes.job(problem, 0, brief=True)
-    first = maker(tmp_path / "kept", problem, alike=True)(0, brief)
-    alike(maker(tmp_path / "kept", problem, alike=True)(0, processes.job(problem, 0, brief=True)), first)
-    made = maker(tmp_path / "kept", problem, alike=True)(0, processes.job(problem, 0))
+    first = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, brief)
+    alike(
+        maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0, brief=True)),
+        first,
+    )
+    made = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0))
     assert not made.thinned  # as where a plan is drawn beside them
     alike(
-        maker(tmp_path / "kept", problem, alike=True)(0, brief), made
+        maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, brief), made
     )  # the whole ones, once they are there
+
+
+def test_what_is_kept_of_a_mesh_is_never_that_of_another_edit(tmp_path: Path) -> None:
+    """One store over all edits, in first looks and whole ones: targets and solids are those made without."""
+    data, part = small_forming.problem(strategy="virgin"), small_forming.dish()
+    deeper = part.vertices * [1.0, 1.0, 1.0 + 1e-7]
+    edits: list[tuple[Mesh, dict[str, Any]]] = [
+        (part, data),
+        (Mesh(deeper, part.faces), data),
+        (part, {**data, "sheet": data["sheet"] | {"thickness_mm": 0.999}}),
+        (part, {**data, "operations": [data["operations"][0] | {"stepdown_mm": 2.5}]}),
+        (part, {**data, "operations": [data["operations"][0] | {"feature_step_mm": 0.4}]}),
+        (part, data),
+    ]
+    kept, solids, made = KeptFiles(tmp_path / "kept"), [], []
+    for number, (mesh, one) in enumerate(edits):
+        (folder := tmp_path / str(number)).mkdir()
+        path = small_forming.write(folder, one, mesh)
+        with keeping(kept):
+            problem = pipeline.load(path)
+            few, whole = (processes.job(problem, 0, brief=brief).targets() for brief in (True, False))
+        fresh = pipeline.load(path)
+        alike(few, processes.job(fresh, 0, brief=True).targets())
+        alike(whole, processes.job(fresh, 0).targets())
+        assert few.thinned and not whole.thinned
+        own, other = (item.found_by(0).stock.sheet.formed for item in (problem, fresh))  # type: ignore[union-attr]
+        for a, b in zip(own, other, strict=True):
+            np.testing.assert_array_equal(a.vertices, b.vertices)
+        solids.append(own[0].vertices)
+        made.append(whole.pose["robot"])
+    assert not np.array_equal(solids[0], solids[1]) and not np.array_equal(solids[0], solids[2])
+    assert all(not np.array_equal(made[0], made[k]) for k in (1, 2, 3))
+    assert np.array_equal(made[0], made[-1])
 
 
 def test_a_first_look_says_whether_it_is_of_fewer_targets(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from planner.issues import TandemError
 from planner.service import backup, storage
 from planner.service.models import Database, default_url
 from planner.service.schema import VERSION
-from planner.service.security import Auth, Limits
+from planner.service.security import Auth, Limits, RefusedError
 from tests.service import postgres
 from tests.service.support import InProcess, named
 from tests.service.test_schema import TOKEN, old_store, version
@@ -383,3 +383,33 @@ def test_the_commands(
     assert f"{tmp_path / 'again'}: a backup of 1 jobs" in said.out
     assert "service.backup" in said.out + said.err
     assert commands.DATA_FOLDER == commands.BackUp(tmp_path).data == commands.Serve().data
+
+
+def test_a_restored_store_names_the_tokens_that_it_brings_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What was revoked since is in force again: who restores is told of all that are, by their names."""
+    data = tmp_path / "data"
+    data.mkdir()
+    database = Database(default_url(data))
+    auth = Auth(database)
+    token = auth.make("left_since")
+    auth.make("left_before")
+    auth.revoke("left_before")
+    database.close()
+    (data / backup.FILES).mkdir()
+    backup.back_up(data, None, tmp_path / "made")
+    commands.token(commands.Revoke(name="left_since", data=data))
+    capsys.readouterr()
+    commands.restore(commands.Restore(folder=tmp_path / "made", data=tmp_path / "new"))
+    told = " ".join(capsys.readouterr().out.split())
+    assert "in force as they were then: left_since, with their links" in told
+    assert "left_before" not in told
+    restored = Database(default_url(tmp_path / "new"))
+    assert Auth(restored).who(token).name == "left_since"
+    restored.close()
+    commands.token(commands.Revoke(name="left_since", data=tmp_path / "new"))
+    restored = Database(default_url(tmp_path / "new"))
+    with pytest.raises(RefusedError, match="revoked"):
+        Auth(restored).who(token)
+    restored.close()

@@ -32,13 +32,13 @@ from joserfc.jwk import ECKey, KeySet, RSAKey
 from planner.issues import TandemError
 from planner.service import oidc
 from planner.service.models import Database, default_url
-from planner.service.oidc import ASKED_S, LogIn, Oidc, called, inside, read
+from planner.service.oidc import ASKED_S, Grant, LogIn, Oidc, called, inside, read
 from planner.service.rates import Rates
 from planner.service.security import Auth, RefusedError
 from tests.service.support import InProcess, free_port
 
 SECRET = "s3cret-s3cret-s3cret"
-ROLES = {"release": "release", "shop": "plan"}
+GRANTS = (("release", Grant("release", "shop")), ("shop", Grant("plan", "shop")))
 REDIRECT = "http://127.0.0.1:9/ui/oidc/callback"
 KEY = RSAKey.generate_key(2048, {"kid": "one"})
 OTHER = RSAKey.generate_key(2048, {"kid": "one"})
@@ -110,7 +110,7 @@ def forger() -> Iterator[Forger]:
 @pytest.fixture
 def log_in(forger: Forger, tmp_path: Path) -> Iterator[LogIn]:
     database = Database(default_url(tmp_path))
-    yield LogIn(database, Auth(database), Oidc(forger.issuer, "tandem", SECRET, ROLES, team="shop"))  # type: ignore[arg-type]
+    yield LogIn(database, Auth(database), Oidc(forger.issuer, "tandem", SECRET, GRANTS))
     database.close()
 
 
@@ -306,11 +306,8 @@ def test_options_that_cannot_be_are_told(tmp_path: Path) -> None:
     }
     more = {"claim": "groups", "team": None, "scope": "openid"}
     made = read(**good, **more)  # type: ignore[arg-type]
-    assert (made.issuer, made.secret, made.roles) == (
-        "https://id.example/",
-        SECRET,
-        {"*": "view", "a=b": "plan"},
-    )
+    assert (made.issuer, made.secret) == ("https://id.example/", SECRET)
+    assert made.grants == (("*", Grant("view")), ("a=b", Grant("plan")))
     for wrong, field in (
         ({"issuer": "http://id.example"}, "oidc-issuer"),
         ({"client": None}, "oidc-client"),
@@ -319,10 +316,117 @@ def test_options_that_cannot_be_are_told(tmp_path: Path) -> None:
         ({"roles": ()}, "oidc-role"),
         ({"roles": ("shop=boss",)}, "oidc-role"),
         ({"roles": ("plan",)}, "oidc-role"),
+        ({"roles": ("a=plan@",)}, "oidc-role"),
+        ({"roles": ("a=plan@two teams",)}, "oidc-role"),
+        ({"roles": ("a=released",)}, "oidc-role"),
+        ({"roles": ("a=submit:tag",)}, "oidc-role"),
+        ({"roles": ("a=view@shop:tag",)}, "oidc-role"),
+        ({"roles": ("a=released@shop:",)}, "oidc-role"),
+        ({"team": "two teams"}, "oidc-team"),
     ):
         with pytest.raises(TandemError) as error:
             read(**{**good, **more, **wrong})  # type: ignore[arg-type]
         assert (error.value.issues[0].code, error.value.issues[0].field) == ("service.start", field)
+
+
+TEAMS = (
+    "cutters=plan@cutters",
+    "foremen=release@cutters",
+    "night=submit@cutters",
+    "screens=released@cutters:cell 3",
+    "formers=plan@formers",
+    "*=view",
+)
+
+
+def teams(log_in: LogIn, tmp_path: Path) -> LogIn:
+    """The same service whose provider's groups are teams."""
+    (tmp_path / "secret").write_text(SECRET)
+    given = ("tandem", tmp_path / "secret", TEAMS, "groups", "all", "openid")
+    return LogIn(log_in._auth._database, log_in._auth, read(log_in.oidc.issuer, *given))
+
+
+@pytest.mark.parametrize(
+    ("groups", "wanted"),
+    [
+        (["cutters"], ("plan", "cutters", None, None)),
+        (["night"], ("plan", "cutters", "submit", None)),
+        (["screens"], ("view", "cutters", "released", "cell 3")),
+        ([], ("view", "all", None, None)),
+        (["night", "foremen", "formers"], ("release", "cutters", None, None)),
+        (["screens", "night"], ("plan", "cutters", "submit", None)),
+        (["formers", "cutters"], ("plan", "cutters", None, None)),
+        (["cutters=plan@formers", "foremen "], ("view", "all", None, None)),
+    ],
+)
+def test_groups_of_the_provider_give_role_team_and_scope(
+    log_in: LogIn, forger: Forger, tmp_path: Path, groups: list[str], wanted: tuple[Any, ...]
+) -> None:
+    made = teams(log_in, tmp_path)
+    address, cookie = went(made, forger)
+    forger.claims["groups"] = groups
+    who, _ = made.end(address, REDIRECT, cookie)
+    assert (who.role, who.team, who.scope, who.tag) == wanted
+    (row,) = log_in._auth.list()
+    assert (row.role, row.team, row.scope, row.tag) == wanted
+    session = log_in._auth.session(log_in._auth.open_session(who)[0])
+    assert (session.role, session.team, session.scope, session.tag) == wanted
+
+
+ODD: dict[str, Any] = {
+    "all, by its sign": ["*"],
+    "a word that holds one": "xshopx",
+    "a mapping": {"shop": True, "release": True},
+    "lists in lists": [["shop"], [["release"]]],
+    "numbers and nothing": [None, 7, 1e400, True],
+    "very many": [f"group {number}" for number in range(500)],
+    "with marks that turn": ["\u202eshop", "shop\u200b", " shop", "SHOP"],
+    "a rule of the command line": ["shop=release", "release@shop"],
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_groups_give_nothing(log_in: LogIn, forger: Forger, name: str) -> None:
+    address, cookie = went(log_in, forger)
+    forger.claims["groups"] = ODD[name]
+    with pytest.raises(RefusedError, match="has no role here") as error:
+        log_in.end(address, REDIRECT, cookie)
+    assert error.value.status == 403
+    assert log_in._auth.list() == ()
+
+
+def test_names_of_accounts_are_plain_whatever_the_provider_tells(log_in: LogIn, forger: Forger) -> None:
+    address, cookie = went(log_in, forger)
+    forger.claims |= {"email": "<script>alert(1)</script>\u202eann" + "x" * 10_000}
+    who, _ = log_in.end(address, REDIRECT, cookie)
+    assert re.fullmatch(r"[A-Za-z0-9_.@-]{1,64}", who.name)
+
+
+def test_in_another_team_an_account_begins_anew(log_in: LogIn, forger: Forger, tmp_path: Path) -> None:
+    """What it made stays with the team that it was in; what was revoked in one team is so in all."""
+    made, auth = teams(log_in, tmp_path), log_in._auth
+
+    def comes(groups: list[str]) -> Any:
+        address, cookie = went(made, forger)
+        forger.claims["groups"] = groups
+        return made.end(address, REDIRECT, cookie)[0]
+
+    first = comes(["cutters"])
+    cookie, _ = auth.open_session(first)
+    other = comes(["formers"])
+    assert other.token != first.token
+    assert not auth.sees(other, first.token) and not auth.sees(first, other.token)
+    with pytest.raises(RefusedError, match="session is over"):
+        auth.session(cookie)
+    again = comes(["foremen"])
+    assert (again.token, again.role) == (first.token, "release")
+    cookie, _ = auth.open_session(again)
+    comes(["night"])
+    assert auth.session(cookie).scope == "submit"  # at once, in the browsers where it is logged in
+    auth.revoke(other.name)
+    for groups in (["cutters"], ["formers"], []):
+        with pytest.raises(RefusedError, match="was revoked"):
+            comes(groups)
 
 
 @pytest.fixture
@@ -338,7 +442,7 @@ def real(tmp_path: Path) -> Iterator[InProcess]:
     )
     assert node.stdout is not None
     assert node.stdout.readline() == b"ready\n"
-    account = Oidc(f"http://127.0.0.1:{port}", "tandem", SECRET, ROLES)  # type: ignore[arg-type]
+    account = Oidc(f"http://127.0.0.1:{port}", "tandem", SECRET, REAL)
     try:
         with InProcess(tmp_path / "data", examiners=1, oidc=account) as made:
             yield made
@@ -348,6 +452,11 @@ def real(tmp_path: Path) -> Iterator[InProcess]:
 
 
 HERE = "http://127.0.0.1"
+REAL = (
+    ("shop", Grant("plan", "shop")),
+    ("night", Grant("plan", "shop", "submit")),
+    ("screens", Grant("view", "shop", "released", "cell 3")),
+)
 
 
 def logged_in(real: InProcess, account: str) -> httpx.Response:
@@ -388,6 +497,23 @@ def test_people_log_in_by_a_real_provider(real: InProcess) -> None:
     assert real.http.get("/v1/jobs").status_code == 401
 
 
+@pytest.mark.parametrize(
+    ("group", "role", "scope", "tag"),
+    [("night", "plan", "submit", None), ("screens", "view", "released", "cell 3")],
+)
+def test_groups_of_a_real_provider_give_a_scope(
+    real: InProcess, group: str, role: str, scope: str, tag: str | None
+) -> None:
+    assert logged_in(real, f"ann+{group}").status_code == 303
+    said = real.http.get("/v1/session").json()
+    assert (said["role"], said["team"], said["scope"], said.get("tag")) == (role, "shop", scope, tag)
+    assert real.http.get("/v1/jobs").status_code == 200
+    for path in ("/v1/elements", "/v1/drafts", "/v1/audit", "/v1/webhooks", "/metrics"):
+        assert real.http.get(path).status_code == 403, path
+    sent = real.http.post("/v1/jobs", content=b"x", headers={"Content-Type": "application/yaml"})
+    assert sent.status_code == (422 if scope == "submit" else 403)
+
+
 def test_who_comes_without_having_gone_is_told_on_the_log_in_page(real: InProcess) -> None:
     answer = real.http.get("/ui/oidc/callback?code=x&state=<script>alert(1)</script>")
     assert answer.status_code == 403
@@ -406,7 +532,7 @@ def test_an_issuer_may_end_with_a_slash(forger: Forger, tmp_path: Path) -> None:
     forger.about = {"issuer": f"{forger.issuer}/"}
     database = Database(default_url(tmp_path))
     for given in (forger.issuer, f"{forger.issuer}/"):
-        log_in = LogIn(database, Auth(database), Oidc(given, "tandem", SECRET, ROLES))  # type: ignore[arg-type]
+        log_in = LogIn(database, Auth(database), Oidc(given, "tandem", SECRET, GRANTS))
         address, cookie = went(log_in, forger)
         forger.claims["iss"] = f"{forger.issuer}/"
         assert log_in.end(address, REDIRECT, cookie)[0].role == "plan"
@@ -418,8 +544,8 @@ def test_an_issuer_may_end_with_a_slash(forger: Forger, tmp_path: Path) -> None:
 
 def test_an_address_that_nobody_verified_gives_no_role_and_no_name(forger: Forger, tmp_path: Path) -> None:
     database = Database(default_url(tmp_path))
-    roles = {"boss@shop.example": "release", "*": "view"}
-    told = Oidc(forger.issuer, "tandem", SECRET, roles, claim="email")  # type: ignore[arg-type]
+    grants = (("boss@shop.example", Grant("release")), ("*", Grant("view")))
+    told = Oidc(forger.issuer, "tandem", SECRET, grants, claim="email")
     log_in = LogIn(database, Auth(database), told)
     for verified, role, name in ((False, "view", "7"), (True, "release", "boss@shop.example")):
         address, cookie = went(log_in, forger)
@@ -461,7 +587,7 @@ def test_a_provider_that_hangs_costs_log_ins_alone(tmp_path: Path) -> None:
     silent = socket.socket()
     silent.bind((HERE.removeprefix("http://"), 0))
     silent.listen(64)
-    account = Oidc(f"{HERE}:{silent.getsockname()[1]}", "tandem", SECRET, ROLES)  # type: ignore[arg-type]
+    account = Oidc(f"{HERE}:{silent.getsockname()[1]}", "tandem", SECRET, GRANTS)
     with InProcess(tmp_path / "data", examiners=1, oidc=account) as here:
         here.service.failures = Rates(None)
         before = oidc.ANSWER_S
@@ -485,6 +611,6 @@ def test_a_provider_that_hangs_costs_log_ins_alone(tmp_path: Path) -> None:
 
 
 def test_log_ins_of_one_address_come_at_a_limited_rate(tmp_path: Path) -> None:
-    account = Oidc(f"{HERE}:9", "tandem", SECRET, ROLES)  # type: ignore[arg-type]
+    account = Oidc(f"{HERE}:9", "tandem", SECRET, GRANTS)
     with InProcess(tmp_path / "data", examiners=1, oidc=account) as here:
         assert {here.http.get("/ui/oidc/login").status_code for _ in range(14)} == {502, 429}

@@ -53,6 +53,7 @@ from planner.forming.features.surface import (
 )
 from planner.forming.features.walls import Wall, skeleton, walls
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
+from planner.geometry.remembered import remembered
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -114,6 +115,7 @@ class FeatureTree:
         return self.features[number - 1]
 
 
+@remembered
 def build(mesh: Mesh, step: float, noise: float = LEAST_BUMP) -> FeatureTree:
     """The features of a part, sliced every ``step`` [m].
 

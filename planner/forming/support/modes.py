@@ -49,6 +49,7 @@ from planner.forming.support.opposite import (
     Way,
     opposite_path,
     parted,
+    straight,
     waited,
 )
 from planner.geometry.arrays import FloatArray, IntArray, dots
@@ -72,17 +73,18 @@ def heated(
     thickness: float,
     clamp: Clamp | None,
     slack: float,
+    between: bool = True,
 ) -> tuple[ContactPath, FloatArray, FloatArray]:
     """The place (N, 3) [m] that is heated, across the sheet of ``thickness`` [m] from the ball, the axis
     (N, 3) of the nozzle behind it, and the path itself with targets added where the nozzle turns.
 
     The nozzle leans as the wall does, as far as it stays under the flat and off the ``clamp``. Both follow
     the smooth face that the ball leans on, not its facets; within ``slack`` [m] it leans on it. For a forming
-    tool above.
+    tool above. If not ``between``, no target is added.
     """
     touching = Touching(one, former.radius, 1.0, thickness)
-    way = waited(contact, touching, slack, AT_TARGET)
-    for left in range(_SPLIT_ROUNDS, -1, -1):
+    way = waited(contact, touching, slack, AT_TARGET) if between else straight(contact, touching, slack)
+    for left in range(_SPLIT_ROUNDS if between else 0, -1, -1):
         contact = way.contact
         # where the ball waits the place that is heated goes on, and directions are steadied along that
         about = contact.centre - former.radius * way.lean.normal
@@ -149,25 +151,34 @@ def _moved(one: Pass) -> shapely.Polygon:
     corners = one.vertices[one.faces]
     moved = corners[(np.abs(corners[:, :, 2] - one.start) > FLAT_NOISE).any(axis=1)]
     region = shapely.Polygon(one.region[:, :2]).buffer(0.0)
-    both = shapely.union_all([region, *shapely.polygons(moved[:, [0, 1, 2, 0], :2])])
+    triangles = shapely.polygons(moved[:, [0, 1, 2, 0], :2])
+    shapely.prepare(region)
+    both = shapely.union_all([region, *triangles[~shapely.covers(region, triangles)]])
     pieces = shapely.get_parts(both)
     return pieces[int(np.argmax(shapely.area(pieces)))]
 
 
 def border_path(
-    one: Pass, contact: ContactPath, radius: float, support: FormingHead, thickness: float
+    one: Pass,
+    contact: ContactPath,
+    radius: float,
+    support: FormingHead,
+    thickness: float,
+    between: bool = True,
 ) -> tuple[ContactPath, FloatArray]:
     """The support's TCP (N, 3) [m] at the targets of a path, and the path itself with targets added where
-    the border bends between two of them. ``radius`` [m] of the forming ball."""
+    the border bends between two of them, if ``between``. ``radius`` [m] of the forming ball."""
     ring = border_curve(one, support, thickness, BORDER_MARGIN)
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ring[:, :2], axis=0), axis=1))])
     middle = _middle(contact)
     along = _by_ray(ring, at, middle, contact.point)
     if along is None:
         along = _by_share(ring, at, contact)
-    row, share, position = _bends(ring, at, along)
-    path = insert(contact, radius, one.side, row, share)
-    along = np.insert(along, row, position)
+    path = contact
+    if between:
+        row, share, position = _bends(ring, at, along)
+        path = insert(contact, radius, one.side, row, share)
+        along = np.insert(along, row, position)
     place = np.column_stack([np.interp(np.mod(along, at[-1]), at, ring[:, k]) for k in range(3)])
     return path, place
 
@@ -282,37 +293,39 @@ def tool_path(
     thickness: float,
     clamp: Clamp | None = None,
     every: int = 0,
+    between: bool = True,
 ) -> ToolPath:
     """Both tools along ``contact``, for all modes but adsif (`adsif_path.adsif_tool_path`).
 
     ``thickness`` [m] of the flat sheet; ``clamp``: what a source of heat leans away from;
     ``every``: moves between meetings of two controllers, 0 for one clock. The result's
     contact has more targets where straight moves would let the gap, or the support's way along the border,
-    off by too much. Raises ``TandemError`` (forming.support_tool) where the mode has no such support.
+    off by too much, but none if not ``between``. Raises ``TandemError`` (forming.support_tool) where the mode
+    has no such support.
     """
     _require(operation, former, support)
     mode = operation.mode
     if one.side < 0:
         over = None if clamp is None else dataclasses.replace(clamp, low=-clamp.high, high=-clamp.low)
         found = tool_path(
-            _mirrored(one), _turned_over(contact), operation, former, support, thickness, over, every
+            _mirrored(one), _turned_over(contact), operation, former, support, thickness, over, every, between
         )
         return _back(found)
     if support is None or mode in ("spif", "tpif"):
         none = np.full(len(contact.point), np.nan)
         return ToolPath(contact.centre, axes(contact.normal, _lean(operation)), None, None, none, contact)
     if mode == "dpif_p":
-        path, place = border_path(one, contact, former.radius, support, thickness)
+        path, place = border_path(one, contact, former.radius, support, thickness, between)
         up = np.tile([0.0, 0.0, 1.0], (len(place), 1))
         none = np.full(len(place), np.nan)
         return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, up, none, path)
     if mode == "heat":
         path, place, behind = heated(
-            one, contact, former, support, thickness, clamp, operation.gouge_tol_mm * MM
+            one, contact, former, support, thickness, clamp, operation.gouge_tol_mm * MM, between
         )
         none = np.full(len(place), np.nan)
         return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, behind, none, path)
-    return opposite_path(one, contact, operation, former, support, thickness, every)
+    return opposite_path(one, contact, operation, former, support, thickness, every, between)
 
 
 def support_issues(

@@ -226,15 +226,17 @@ def opposite_path(
     support: FormingHead,
     thickness: float,
     every: int = 0,
+    between: bool = True,
 ) -> ToolPath:
     """Both tools along ``contact`` over a pass formed from above, for dsif and dpif_l; two controllers meet
-    after so many moves, where ``every`` is not 0."""
+    after so many moves, where ``every`` is not 0. If not ``between``, no target is added."""
     level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius)
     touching = Touching(one, former.radius, operation.squeeze, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
     radii, allowed = former.radius + support.radius, CHORD_SHARE * operation.gap_tol_mm * MM
-    way = waited(contact, touching, operation.gouge_tol_mm * MM)
-    for left in range(_SPLIT_ROUNDS, -1, -1):
+    slack = operation.gouge_tol_mm * MM
+    way = waited(contact, touching, slack) if between else straight(contact, touching, slack)
+    for left in range(_SPLIT_ROUNDS if between else 0, -1, -1):
         contact, gap = way.contact, way.lean.gap
         apart = gap + radii
         # far from the face the support goes farther than the former, in a corner by far
@@ -250,6 +252,9 @@ def opposite_path(
         tilt = steady_below(clear_tilt(far, facing, tilt, apart, inner), about)
         across = apart[:, None] * leaned(normal, tilt)
         air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR_DISTANCE
+        if not between:
+            count = np.ones(len(air), dtype=np.int64)
+            break
         count = np.maximum(
             _pieces(way, across, radii, allowed), _uneven(way, across, radii, allowed, touching)
         )
@@ -278,8 +283,7 @@ def waited(contact: ContactPath, touching: Touching, slack: float, spread: float
     """The way with two targets at one place wherever what the ball leans on jumps: as it comes and as it
     goes, ``spread`` [m] before and behind. Where it does not touch within ``slack`` [m] it is off the
     face."""
-    away = np.linalg.norm(contact.centre - contact.point, axis=1) - touching.radius
-    aloft = ~contact.working & (away > slack) & (away <= AIR_DISTANCE)
+    aloft = _aloft(contact, touching, slack)
     at = touching.lean(contact.centre)
     step = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
     rows = np.flatnonzero((_angle(at.normal[1:], at.normal[:-1]) > WAITING_TURN) & (step > 0.0)) + 1
@@ -319,6 +323,18 @@ def waited(contact: ContactPath, touching: Touching, slack: float, spread: float
     between = np.concatenate([path.centre[:1], 0.5 * (path.centre[1:] + path.centre[:-1])])
     off = np.insert(aloft, row[kept], aloft[row[kept]] | aloft[row[kept] - 1]).astype(np.float64)
     return Way(path, lean, still, touching.lean(between), off)
+
+
+def straight(contact: ContactPath, touching: Touching, slack: float) -> Way:
+    """The way with the targets of ``contact`` alone, as if what the ball leans on jumped nowhere."""
+    at, still = touching.lean(contact.centre), np.zeros(len(contact.centre), dtype=np.bool_)
+    return Way(contact, at, still, at, _aloft(contact, touching, slack).astype(np.float64))
+
+
+def _aloft(contact: ContactPath, touching: Touching, slack: float) -> BoolArray:
+    """Whether (N,) the ball steps over, off the face by more than ``slack`` [m] but not in the air."""
+    away = np.linalg.norm(contact.centre - contact.point, axis=1) - touching.radius
+    return np.asarray(~contact.working & (away > slack) & (away <= AIR_DISTANCE))
 
 
 def _either(first: BoolArray, one: Lean, two: Lean) -> Lean:
