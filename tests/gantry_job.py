@@ -9,14 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 import planner
-from planner.catalogue.robots import robot
-from planner.cell.kinematics import forward
-from planner.geometry.arrays import to_quaternion
 from planner.pipeline import Outcome
-from tests.track_job import COLUMNS
+from tests.track_job import posed
 
 BRIDGE: dict[str, Any] = {
     "name": "bridge",
@@ -70,24 +66,12 @@ def problem(
     cell: dict[str, Any] = {"name": "gantry", "arms": [one], "obstacles": list(obstacles)}
     if controller is not None:
         cell["controller"] = controller
-    data = robot(str(one["robot"]))
-    pose = forward(data, np.asarray(data.home)[None])[0]
-    w = to_quaternion(pose[:3, :3]).tolist()
-    for name, side, up in (("a", -1200.0, 0.0), ("b", 1200.0, rise)):
-        rows = [COLUMNS]
-        for k in np.linspace(0.0, 4.0, 5):
-            x, y, z = 500.0, side + 40.0 * k, 1350.0 + up + 20.0 * np.sin(k)
-            rows.append(",".join(str(round(float(v), 9)) for v in (x, y, z, *w, 50.0)) + ",move")
-        (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
-    operations = [
-        {"name": name, "process": "targets", "arms": ["left"], "file": f"{name}.csv", "frame": "world"}
-        for name in "ab"
-    ]
-    stock = {"size_mm": [100, 100, 50], "place": {"xyz_mm": [0, -4500, 0]}}
-    made = {"tandem": 1, "name": "gantry", "cell": cell, "stock": stock, "operations": operations}
-    path = folder / "problem.yaml"
-    path.write_text(yaml.safe_dump(made))
-    return planner.load(path)
+    k = np.linspace(0.0, 4.0, 5)
+    places = {
+        name: np.stack([np.full(5, 500.0), side + 40.0 * k, 1350.0 + up + 20.0 * np.sin(k)], axis=1)
+        for name, side, up in (("a", -1200.0, 0.0), ("b", 1200.0, rise))
+    }
+    return posed(folder, cell, places, str(one["robot"]))
 
 
 KUKA: dict[str, Any] = {"robot": "kr6_r900", "base": {"xyz_mm": [0, 0, 1000], "rpy_deg": [0, 0, 30]}}

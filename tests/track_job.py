@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import yaml
 import planner
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import to_quaternion
+from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.pipeline import Outcome
 
 TRACK: dict[str, Any] = {
@@ -48,27 +49,36 @@ def problem(
     cell: dict[str, Any] = {"name": "track", "arms": [one], "obstacles": list(obstacles)}
     if controller is not None:
         cell["controller"] = controller
-    for name, middle in (("a", -side), ("b", side)):
-        rows = [COLUMNS]
-        for k in np.linspace(0.0, 4.0, count):
-            w = _tool_quaternion()
-            x, y, z = 500.0, middle + 40.0 * k, 450.0 + 20.0 * np.sin(k)
-            rows.append(",".join(str(round(float(v), 9)) for v in (x, y, z, *w, 50.0)) + ",move")
+    k = np.linspace(0.0, 4.0, count)
+    places = {
+        name: np.stack([np.full(count, 500.0), middle + 40.0 * k, 450.0 + 20.0 * np.sin(k)], axis=1)
+        for name, middle in (("a", -side), ("b", side))
+    }
+    return posed(folder, cell, places, "irb140")
+
+
+def posed(folder: Path, cell: dict[str, Any], places: Mapping[str, FloatArray], kind: str) -> planner.Problem:
+    """A job of arm ``left`` whose operations go through ``places`` (N, 3) [mm] by their names, at 50 mm/s,
+    with the tool as a robot of that ``kind`` has it at home."""
+    w = at_home(kind)
+    for name, points in places.items():
+        values = [[str(round(float(v), 9)) for v in (*point, *w, 50.0)] for point in points]
+        rows = [COLUMNS, *(",".join(row) + ",move" for row in values)]
         (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
     operations = [
         {"name": name, "process": "targets", "arms": ["left"], "file": f"{name}.csv", "frame": "world"}
-        for name in "ab"
+        for name in places
     ]
     stock = {"size_mm": [100, 100, 50], "place": {"xyz_mm": [0, -4500, 0]}}
-    data = {"tandem": 1, "name": "track", "cell": cell, "stock": stock, "operations": operations}
+    data = {"tandem": 1, "name": cell["name"], "cell": cell, "stock": stock, "operations": operations}
     path = folder / "problem.yaml"
     path.write_text(yaml.safe_dump(data))
     return planner.load(path)
 
 
-def _tool_quaternion() -> tuple[float, ...]:
-    """That of the tool at home with axis 5 turned, flange down."""
-    arm = robot("irb140")
+def at_home(kind: str) -> tuple[float, ...]:
+    """The quaternion of the flange of a robot of that ``kind`` at home."""
+    arm = robot(kind)
     pose = forward(arm, np.asarray(arm.home)[None])[0]
     return tuple(to_quaternion(pose[:3, :3]).tolist())
 

@@ -29,7 +29,7 @@ def problem(folder: Path) -> planner.Problem:
         {**track_job.ARM, "name": name, "track": {**track_job.TRACK, "unit": unit, "home_mm": home}}
         for name, unit, home in (("left", "TRACK_1", -1000), ("right", "TRACK_2", 300))
     ]
-    w = track_job._tool_quaternion()
+    w = track_job.at_home("irb140")
     for name, middle in (("right", 2200.0), ("left", 900.0)):
         rows = [track_job.COLUMNS.replace("left", name)]
         for k in np.linspace(0.0, 4.0, 5):
