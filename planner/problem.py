@@ -111,8 +111,9 @@ STOCK: Final = "stock"
 """What a turntable carries, by the name that it has among stations: no arm can be called so."""
 TILT: Final = "stock/tilt"
 """The value of a positioner's tilt axis among stations: no arm can be called so."""
-END: Final = "/end"
-"""Behind an arm's name among stations: the value of its track behind an operation in which it goes along."""
+END: Final = "//end"
+"""Behind an arm's name among stations: the value of its track behind an operation in which it goes along. No
+axis of a gantry, whose name is behind one such sign, can be called so."""
 PLATE: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
 

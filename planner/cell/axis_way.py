@@ -117,7 +117,7 @@ def along(
     The base of the arm rides, and all that this axis and those on it carry. Pairs of bodies in ``ignore`` are
     not looked at, nor is the base against shapes on which it stands and slides (:func:`_borne`), and what is
     carried against shapes that bear it (:func:`_sliding`); against others of the same bodies they are. What
-    goes up or down keeps off the floor, too."""
+    goes up or down keeps off the floor, too; a base may stand on it."""
     arm, axis = model.cell.rail(name)
     base, foot = model.bases[arm.name], f"{arm.name}/base_link"
     above = carried(model.cell, name)
@@ -130,7 +130,10 @@ def along(
     feet = [solid for solid in own if solid.body == foot]
     without = np.zeros((len(own), len(fixed)), bool)
     without[[solid.body == foot for solid in own]] = _borne(model, feet, fixed, base[:3, 2], axis.axis)
-    without |= _sliding(model, own, fixed, axis.axis) & np.array([s.body != foot for s in own])[:, None]
+    bearers = _bearers(model.cell, arm)
+    bears = np.array([solid.body in bearers for solid in fixed], bool)
+    carries = np.array([solid.body != foot for solid in own], bool)
+    without |= _sliding(model, own, fixed, axis.axis) & carries[:, None] & bears
     floor = Ground.of(model.cell).floor
 
     def at(value: float) -> CellModel:
@@ -141,9 +144,22 @@ def along(
 
     def beside(placed: CellModel) -> dict[tuple[str, str], float]:
         out = _apart(placed, own, fixed, without)
-        return out if abs(axis.axis[2]) < LEVEL_RAD else out | _low(placed, own, bodies, floor)
+        if abs(axis.axis[2]) < LEVEL_RAD:
+            return out
+        feet = _low(placed, own, [foot], floor)  # a base may stand on the floor, and not in it
+        sunk = {pair: low for pair, low in feet.items() if low < -SUNK_M}
+        return out | sunk | _low(placed, own, bodies, floor)
 
     return _looked(at, beside, 1.0, ends, q, enough, (foot, *bodies), ignore)
+
+
+def _bearers(cell: Cell, arm: Arm) -> set[str]:
+    """Bodies that what rides on the axes under an arm may slide along: those of the cell that no axis under
+    another arm carries; no block, its support or another arm's base."""
+    riding = {
+        name for other in cell.arms if other.name != arm.name for on in other.axes for name in on.carries
+    }
+    return {body.name for body in cell.obstacles} - riding
 
 
 def _low(

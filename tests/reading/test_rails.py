@@ -54,6 +54,13 @@ def test_a_gantry_is_read_in_si_units_and_takes_along_what_stands_on_it(tmp_path
     np.testing.assert_allclose(made.cell.obstacles[2].shapes[0].pose[:3, 3], [-0.2, 0.0, 0.949])
 
 
+def test_an_axis_may_have_any_name(tmp_path: Path) -> None:
+    """That of the value behind an operation in which a track goes along, too (it broke off)."""
+    made = problem(tmp_path, [{**BRIDGE, "name": "end"}, {**LIFT, "name": "tilt"}])
+    for setup in made.stationed({0: {"left/end": 1.5}}).setups:
+        np.testing.assert_allclose(setup.cell.arm("left").base[:3, 3], [0.0, 1.5, 1.0])
+
+
 def test_axes_go_one_after_the_other_a_raised_column_before_the_bridge(tmp_path: Path) -> None:
     rails = problem(tmp_path).cell.arm("left").rails
     bridge, lift = rails

@@ -283,7 +283,8 @@ def _rider_into(
     """What the base of an arm, or what rides with it, may come nearer to than ``limit`` [m] on a way that
     looks found clear; ``at``: where all axes are before it. For the base shapes of obstacles that end below
     its foot are left out: below a plane along the way, in which the foot stays; for what is carried those
-    that it slides along, beside such a plane. What goes up or down keeps off the floor at both ends."""
+    of obstacles that it slides along, beside such a plane. What goes up or down keeps off the floor at both
+    ends, on which a base may stand."""
     arm, foot = model.cell.arm(str(axis.arm)), f"{axis.arm}/base_link"
     line = np.array(axis.way)
     names = list(arm.rails)
@@ -322,19 +323,23 @@ def _rider_into(
         ],
         dtype=bool,
     )
+    bears = {body.name for body in model.cell.obstacles}  # no block or support, nor what others carry
+    bears -= {name for two in model.cell.arms if two != arm for on in two.axes for name in on.carries}
     left_out = np.zeros((len(own), len(still)), bool)
     for i, one in enumerate(own):
         if one.body == foot:
             left_out[i] = low
         else:
-            pairs = zip(still, there, strict=True)
-            left_out[i] = [slides((one.shape, begin[i]), (two.shape, pose), line) for two, pose in pairs]
+            left_out[i] = [
+                two.body in bears and slides((one.shape, begin[i]), (two.shape, pose), line)
+                for two, pose in zip(still, there, strict=True)
+            ]
     if abs(line[2]) > LEVEL:
         floor = floor_of(model.cell)
         for look in (way.looked[0], way.looked[-1]):
             for solid, pose in zip(own, placed(look), strict=True):
                 high = -reach(solid.shape, pose, np.array([0.0, 0.0, -1.0])) - floor
-                if solid.body != foot and high < limit - SAME_WAY:
+                if high < (limit if solid.body != foot else -BELOW_FOOT) - SAME_WAY:
                     return f"{solid.body} is {mm(high):.3f} mm above the floor at {axis.shown(look.value)}"
     return nearer(axis, way, (own, placed), (still, there), left_out, 1.0, limit)
 

@@ -6,11 +6,13 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import planner
 from planner import processes
 from planner.cell import axis_way
 from planner.cell.kinematics import forward
@@ -292,6 +294,48 @@ def test_what_is_lowered_keeps_off_the_floor(
     told = [issue.message for issue in found if issue.code == "verify.track_way"]
     words = "console is 4.000 mm above the floor" if blind else "console and the floor are 4.000 mm apart"
     assert [text for text in told if words in text], [str(i) for i in found]
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_base_is_not_lowered_into_the_floor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blind: bool
+) -> None:
+    """Poses that are reached from below the floor alone; a planner that does not look there is not
+    believed."""
+    axes = [
+        {**gantry_job.BRIDGE, "carries": []},
+        {**gantry_job.LIFT, "carries": [], "range_mm": [-900, 1000]},
+    ]
+    made = gantry_job.problem(tmp_path, axes, (), -1500.0, base={"xyz_mm": [0, 0, 0]})
+    if not blind:
+        (issue,) = [one for one in planner.check(made) if one.code == "motion.station"]
+        assert "left/base_link and the floor" in issue.message
+        return
+    monkeypatch.setattr(axis_way, "_low", lambda *args: {})
+    out = planner.plan(made)
+    assert not out.verified
+    assert any("left/base_link is -300.000 mm above the floor" in one.message for one in out.issues), [
+        str(one) for one in out.issues
+    ]
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_block_is_no_bearing(prover: Prover, monkeypatch: pytest.MonkeyPatch, blind: bool) -> None:
+    """A block 2 mm beside the column where its way begins; a planner that takes it for a rail is not
+    believed."""
+    if blind:
+        every = {body.name for body in prover.problem.cell.obstacles} | {"stock"}
+        monkeypatch.setattr(axis_way, "_bearers", lambda *args: every)
+    place = np.eye(4)
+    place[:3, 3] = [-0.548, 0.0, 0.2]
+    stock = dataclasses.replace(prover.problem.stock, place=place)
+    made = Prover(dataclasses.replace(prover.problem, stock=stock), prover.claims)
+    context = external_axes.standing(Context(made.problem, made.claims, gantry_job.planned().programs))
+    found = track_way.track_way(context, lambda index: made.model(context, index)).issues
+    told = [one.message for one in found if "bridge from 0 mm to -500 mm: " in one.message]
+    words = "nothing shows that column keeps 10 mm off stock"
+    words = words if blind else "column and stock are 2.000 mm apart"
+    assert any(words in text for text in told), [str(one) for one in found]
 
 
 @pytest.mark.parametrize("what", ["bodies of setups", "bodies of models", "sums of the planner"])

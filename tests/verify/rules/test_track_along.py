@@ -17,7 +17,7 @@ from planner import processes
 from planner.cell import clearance as cell_clearance
 from planner.cell.kinematics import forward
 from planner.motion.planning_scene import Scene
-from planner.problem import Obstacle
+from planner.problem import END, Obstacle
 from planner.reading.cell import ObstacleFile, shape
 from planner.verify.context import Context
 from planner.verify.prove import Prover
@@ -70,7 +70,7 @@ def test_bases_at_targets_and_between_them_follow_from_the_text(context: Context
         # within what zones cut off corners, and what the tool does from sample to sample
         assert np.abs(values[straight] - made.targets.ride["left"][1:]).max() < 6e-3
         ends = made.targets.ride["left"][[0, -1]]
-        station, end = (context.stations[index][name] for name in ("left", "left/end"))
+        station, end = (context.stations[index][name] for name in ("left", f"left{END}"))
         np.testing.assert_allclose([station, end], ends, atol=1e-9)
     assert np.abs(motion.tcp["left"].place[:, 1]).max() > 1.7
 
