@@ -90,7 +90,7 @@ _CHAINS: Final = ("gantry", "tracks", "rails", "linear_axes")
 def chained(location: Sequence[str | int], value: object) -> tuple[str, str] | None:
     """What is wrong, and what to do, where a key of an arm that is not known, or a value that is none, states
     several linear axes, or that they go along; None for all else."""
-    key = str(location[-1])
+    key = str(location[-1]) if location else ""
     if tuple(location[-3:-2]) == ("arms",) and (
         key in _CHAINS or (key == "track" and isinstance(value, list))
     ):
