@@ -885,8 +885,8 @@ def _standing(arm: Arm, stations: Mapping[str, float]) -> Arm:
 def _keep_off(arm: Arm, rides: bool = False) -> str:
     """What the operator does before the axes under an arm go to a station, and a track perhaps ``rides``
     along from there."""
-    # as written: noise settles no half
-    values = {name: f"{round(1e3 * value, OUTER_DECIMALS):.3f}" for name, value in arm.stands.items()}
+    # as written: noise settles no half, and 0 has no sign
+    values = {name: f"{round(1e3 * value, OUTER_DECIMALS) + 0.0:.3f}" for name, value in arm.stands.items()}
     if arm.track is None:
         units = " and ".join(dict.fromkeys(axis.unit for axis in arm.axes))
         ways = ", ".join(f"{axis.word} at {values[name]} mm" for name, axis in arm.rails.items())
@@ -897,7 +897,7 @@ def _keep_off(arm: Arm, rides: bool = False) -> str:
 
 def _keep_off_table(table: Turntable, values: Mapping[str, float]) -> str:
     """What the operator does before a turntable or positioner goes to a station."""
-    turn, tilt = (f"{np.rad2deg(values.get(name, 0.0)):.4f}" for name in (STOCK, TILT))
+    turn, tilt = (f"{round(float(np.rad2deg(values.get(name, 0.0))), 4) + 0.0:.4f}" for name in (STOCK, TILT))
     if table.tilt is None:
         return KEEP_OFF_TABLE.filled(unit=table.unit, value=turn)
     return KEEP_OFF_POSITIONER.filled(unit=table.unit, turn=turn, tilt=tilt)

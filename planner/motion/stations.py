@@ -288,9 +288,9 @@ def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str
 
 def values(track: LinearAxis, step: float = STEP_M) -> FloatArray:
     """The values (K,) [m] at which a linear axis may stand, whole tenths of a millimetre, ``step`` [m] apart
-    at most."""
+    at most; 0 has no sign."""
     count = min(max(int(np.ceil((track.high - track.low) / step)) + 1, 2), MOST_VALUES)
-    return np.unique(np.append(np.round(np.linspace(track.low, track.high, count), 4), track.home))
+    return np.unique(np.append(np.round(np.linspace(track.low, track.high, count), 4), track.home) + 0.0)
 
 
 def angles(table: RotaryAxis, most: int = MOST_ANGLES) -> FloatArray:
