@@ -275,9 +275,8 @@ def check_units(arms: Sequence[Arm], controller: Controller) -> None:
         for place, rail in enumerate(arm.axes):
             field = f"arms.{number}.{'track' if arm.track is not None else f'axes.{place}'}"
             if controller.sync == "handshake":
-                what = f"arm {arm.name} stands on a {kind}; with two controllers (handshake) that is "
-                what += "not written "
-                what += "yet; use one controller (sync: multimove), or an arm of its own"
+                what = f"arm {arm.name} stands on a {kind}; with two controllers (handshake) that is not "
+                what += "written yet; use one controller (sync: multimove), or an arm of its own"
                 raise TandemError(Issue("problem.track", what, field=field, arm=arm.name))
             if rail.unit.lower() in taken:
                 what = f"the unit {rail.unit} is that of {taken[rail.unit.lower()]}, too; give each "
@@ -287,8 +286,7 @@ def check_units(arms: Sequence[Arm], controller: Controller) -> None:
             for body in rail.carries:
                 if body in riding:
                     what = f"carries: {body} rides on {riding[body]} and on {rail.label}; name it "
-                    what += "where it stands, "
-                    what += "those above an axis go along with it"
+                    what += "where it stands, those above an axis go along with it"
                     raise TandemError(Issue("problem.field", what, field=f"{field}.carries", arm=arm.name))
                 riding[body] = rail.label
         taken |= own
@@ -296,10 +294,12 @@ def check_units(arms: Sequence[Arm], controller: Controller) -> None:
 
 def carrying_faults(problem: Problem) -> list[Issue]:
     """Axes that would take the block's stand away (``problem.track``)."""
+    riders = {body: on for arm in problem.cell.arms for on in arm.axes for body in on.carries}
+    if not riders:
+        return []
     from planner.cell import support  # what reads a problem without such axes loads nothing of the cell
 
-    riders = {body: on for arm in problem.cell.arms for on in arm.axes for body in on.carries}
-    for setup in problem.setups if riders else ():
+    for setup in problem.setups:
         stock = setup.stock
         if stock.held_by is not None or stock.place is None:
             continue
