@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -54,15 +55,27 @@ def accepted(wanted: float) -> float:
 @dataclasses.dataclass(frozen=True)
 class Looks:
     """Samples ``rows`` (K,) of setup ``index`` at which bodies are looked at, but for pairs in ``ignore``,
-    with the joints ``q`` {arm: (K, 6)} there. ``itself``: links and tool of each arm against each other, else
-    all other pairs. ``bases`` {arm: (K, 4, 4)}: of arms whose tracks go along."""
+    with the ``links`` {arm: (N, 6)} of all samples, or of these alone where they were ``sent`` to another
+    process. ``itself``: links and tool of each arm against each other, else all other pairs. ``bases``
+    {arm: (K, 4, 4)}: of arms whose tracks go along."""
 
     index: int
     rows: IntArray
     ignore: Pairs
-    q: Mapping[str, FloatArray]
+    links: Mapping[str, FloatArray]
     itself: bool = False
     bases: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    sent: bool = False
+
+    @property
+    def q(self) -> Mapping[str, FloatArray]:
+        """The joints {arm: (K, 6)} there, taken out anew each time: kept, those of a long motion would stand
+        beside what the physics needs."""
+        return self.links if self.sent else {arm: q[self.rows] for arm, q in self.links.items()}
+
+    def __reduce__(self) -> tuple[type[Looks], tuple[Any, ...]]:
+        """Another process gets no more than the samples that are looked at."""
+        return Looks, (self.index, self.rows, self.ignore, self.q, self.itself, self.bases, True)
 
 
 Begun = tuple[Sequence[Looks], Iterator[Measured | None]]
@@ -74,9 +87,9 @@ def looks(context: Context) -> tuple[Looks, ...]:
     setups = range(len(context.setups))
     others = [(k, *some, False) for k in setups for some in _groups(context, k, clearance_rows(context, k))]
     own = [(k, clearance_rows(context, k, itself=True), frozenset[frozenset[str]](), True) for k in setups]
-    joints = context.motion.links.items()
+    links = context.motion.links
     return tuple(
-        Looks(index, rows, ignore, {arm: q[rows] for arm, q in joints}, itself, context.ridden(index, rows))
+        Looks(index, rows, ignore, links, itself, context.ridden(index, rows))
         for index, rows, ignore, itself in (*others, *own)
         if len(rows)
     )
