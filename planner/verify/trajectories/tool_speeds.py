@@ -102,12 +102,8 @@ def _speeds(context: Context, arm: _Arm, arms: Mapping[str, _Arm]) -> ToolSpeeds
                 (other.machine, other.moves[int(at[0])].tool.pose, bases[holder]),
             )
             held = _of(other.ends, at)
-            ends = (
-                np.concatenate([held[0][:, ::-1], ends[0]], axis=1),
-                np.concatenate([held[1][:, ::-1], ends[1]], axis=1),
-                np.concatenate([held[2][:, ::-1], ends[2]], axis=1),
-                np.concatenate([held[3][:, ::-1], ends[3]], axis=1),
-            )
+            both = [np.concatenate([h[:, ::-1], e], axis=1) for h, e in zip(held, ends, strict=True)]
+            ends = (both[0], both[1], both[2], both[3])
             peak[some] = peak_speeds(seen, ends, span[some])
             creeps[some], going[some], rate[some] = _slow(seen, ends, span[some])
         length[some], back[some] = _straight(seen, ends, span[some])

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import planner
-from planner import processes
 from planner.cell import axis_way
 from planner.cell.kinematics import forward
 from planner.cell.plant import CellModel
@@ -23,14 +22,10 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes, track_way
 from tests import gantry_job
+from tests.verify.rules.test_krl_external_axes import prover_of
 
 A, B, LEG = "[-500.0000,0.0000,", "[800.0000,200.0000,", "[800.0000,0.0000,"
 """The stations as the text has them, and what lies between the second one and those before and behind it."""
-
-
-def prover_of(outcome: Any) -> Prover:
-    made = dataclasses.replace(outcome.problem, stations={})  # nothing of the plan
-    return Prover(made, processes.claims(made))
 
 
 @pytest.fixture(scope="module")
