@@ -25,6 +25,7 @@ from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
 
 if TYPE_CHECKING:
+    from planner.geometry.arrays import FloatArray
     from planner.motion.former import Former
     from planner.plans import Plan
     from planner.report.cell_picture import Picture
@@ -243,10 +244,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
         raise TandemError(refused)
     made = solve.solve(problem, targets, tell, begin, before)
     problem = problem.stationed(made.stations)
-    driven = zip(jobs, made.operations, strict=True)
-    slow = [issue for job, motion in driven for issue in job.driven(motion.targets, motion.time)]
-    if has_errors(slow):
-        raise TandemError(slow)
+    _as_driven(jobs, made, {})
     drawn = begin(output.pictures, problem, made) if draw else None
     issues = (*_stands(problem), *made.issues)
     made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
@@ -254,15 +252,27 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     commanded, sagging = sag.commanded(problem, made)
     made = sag.noted(made, commanded)
     made = dataclasses.replace(made, issues=(*made.issues, *sagging, *write.notes(commanded, problem)))
-    programs = write.programs(commanded, problem)
+    files = write.written(commanded, problem)
+    programs = files.files
+    if files.clocks:
+        _as_driven(jobs, made, files.clocks)
     tell("proof", 0.0)
-    del jobs, targets, driven  # what the proof has no need of
+    del jobs, targets, files  # what the proof has no need of
     gc.collect()
     give_back()  # of a long job motion leaves more than 100 MB, beside which the proof would count
     proof = prove.prove(problem, claims, programs, begin)
     tell("proof", 1.0)
     final = _with_margins(commanded, problem, programs, proof) if proof.ok else {}
     return Outcome(problem, made, proof, final, pictures=None if drawn is None else tuple(drawn))
+
+
+def _as_driven(jobs: Sequence[Job[Any]], made: Plan, clocks: Mapping[int, FloatArray]) -> None:
+    """Raise what processes say of the motion by its clocks, and by those of programs where they have some."""
+    slow: list[Issue] = []
+    for index, (job, motion) in enumerate(zip(jobs, made.operations, strict=True)):
+        slow += job.driven(motion.targets, motion.time, clocks.get(index))
+    if has_errors(slow):
+        raise TandemError(slow)
 
 
 Make = Callable[[int, "Job[Any]"], "Targets"]

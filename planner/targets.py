@@ -364,10 +364,14 @@ class Job(abc.ABC, Generic[_Operation]):
     def targets(self) -> Targets:
         """What is to be moved; raises ``TandemError`` where the process cannot make the part."""
 
-    def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
+    def driven(
+        self, targets: Targets, time: FloatArray, passed: FloatArray | None = None
+    ) -> tuple[Issue, ...]:
         """What is wrong with the motion as the arms can drive it, ``time`` (N,) [s] being the clock of
-        ``targets``; most processes mind their feeds alone, which the clock keeps."""
-        del targets, time
+        ``targets``; most processes mind their feeds alone, which the clock keeps. ``passed`` (2, K): where
+        programs have a clock of their own, places between targets, 3.5 being half way from target 3 to target
+        4, and when [s] they are passed."""
+        del targets, time, passed
         return ()
 
     @abc.abstractmethod

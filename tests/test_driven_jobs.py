@@ -16,7 +16,7 @@ from planner.geometry.arrays import inverse, log_rotation
 from planner.issues import TandemError
 from planner.loading import proven
 from planner.post import write
-from planner.post.trajectories import curves, straight_ways
+from planner.post.trajectories import clocks, curves, program, straight_ways
 from planner.reading.urdf import read_chain
 from planner.report import setup_sheet
 from tests import test_seven_axes_jobs as seven
@@ -241,3 +241,51 @@ def test_arms_of_any_family_may_be_driven():
     problem = driven_job.bow_problem()
     assert problem.cell.arms[0].data.family == "ROS"
     assert dataclasses.replace(problem.cell.arms[0].data, family="ABB").name == "irb140"
+
+
+FAST = {"feed_mm_s": 26.2, "feed_min_mm_s": 0.4, "power_w": 220.2}
+"""A feed at which the trailing edge is a corner that arms are slow at."""
+
+
+def thick_wing(tmp_path, **op):
+    """A wing with a blunt trailing edge, whose bow an iiwa drives."""
+    source = driven(test_ur_jobs.wing())
+    source["operations"][0].update(op)
+    wing = source["part"]["wing"]
+    wing["root"]["chord_mm"], wing["tip"]["chord_mm"], wing["trailing_edge_mm"] = 196, 158, 4
+    return seven.laid(tmp_path, "iiwa", source)
+
+
+def test_a_feed_that_no_arm_keeps_at_a_corner_is_refused_with_one_that_it_keeps(tmp_path):
+    """The proof would refuse the program: the clock itself is slower than the least feed."""
+    (issue, *_) = refused(thick_wing(tmp_path, **{**FAST, "feed_min_mm_s": 18.0}))
+    assert issue.code == "motion.feed_min" and issue.severity == "error"
+    assert issue.value < issue.limit == pytest.approx(18.0)
+    held = float(issue.hint.partition("feed_min_mm_s: ")[2].partition(",")[0])
+    assert 0.85 * issue.value < held < issue.value
+
+
+def test_the_process_judges_slots_by_the_clock_that_points_have(tmp_path, monkeypatch):
+    """A tool slows down before a corner and behind it: what melts there is wider than by the plan's clock,
+    and the proof sees it."""
+    problem = thick_wing(tmp_path, **FAST)
+    (issue, *_) = refused(problem)
+    assert issue.code == "straight.uneven"
+    monkeypatch.setattr(program, "spliced", lambda time, runs: np.stack([np.arange(len(time)), time]))
+    assert not pipeline.plan(problem).proof.ok
+
+
+def test_clocks_of_curves_tell_when_places_between_targets_are_passed():
+    arm = driven_job.bow_problem().cell.arms[0]
+    one = straight_ways.Driven(arm.data, arm.base, arm.tool.tcp, slice(0, 6))
+    q = straight_job.plan(12).operations[0].q["left"][:4]
+    t = np.array([0.0, 1.0, 3.0, 3.5])
+    still = curves.Curve(t, q, np.zeros_like(q), np.array([-1, 0, 1, 2]))
+    place, when = clocks.passed(one, q, still)
+    np.testing.assert_allclose(np.interp(t, when, place), np.arange(4.0), atol=1e-3)
+    assert (np.diff(place) >= 0.0).all() and np.interp(1.2, when, place) < 1.1  # slow from rest
+    whole = clocks.spliced(np.arange(8.0), [(np.array([3, 4, 6]), np.stack([np.arange(4.0), t]))])
+    assert (np.diff(whole, axis=1) >= 0.0).all()
+    np.testing.assert_allclose(
+        np.interp([0.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], *whole), [0.0, 2.0, 3.0, 5.0, 5.25, 5.5, 6.5]
+    )

@@ -16,6 +16,7 @@ from typing import Final
 
 from planner.claims.claim import Claim
 from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post import handshake
@@ -374,6 +375,21 @@ def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = N
     ``controller/``. ``margins``: results of the proof by name, as text; they go into the headers' comments
     only. Raises :class:`TandemError` with codes ``post.*`` when the plan cannot be written.
     """
+    return written(plan, problem, margins).files
+
+
+@dataclasses.dataclass(frozen=True)
+class Written:
+    """Program ``files`` {relative name: text}, and the ``clocks`` {operation's index: (2, K)} of operations
+    whose moves take longer in them than planned: places, 3.5 being half way from target 3 to target 4, and
+    when [s] they are passed."""
+
+    files: dict[str, str]
+    clocks: Mapping[int, FloatArray]
+
+
+def written(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = None) -> Written:
+    """As :func:`programs`, with what the process has to know of their clocks."""
     return _texts(_job(plan, problem), plan, problem, margins or {})
 
 
@@ -398,7 +414,7 @@ def notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:
     if problem.cell.controller.sync != "handshake" and not krl_spoken:
         return ()
     job = _job(plan, problem)
-    files = _texts(job, plan, problem, {}) if krl_spoken else {}
+    files = _texts(job, plan, problem, {}).files if krl_spoken else {}
     return (*handshake.drift_issues(job), *krl_files.notes(job, plan, problem, files))
 
 
@@ -409,10 +425,10 @@ def _job(plan: Plan, problem: Problem) -> Job:
     return build(plan, problem)
 
 
-def _texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
+def _texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> Written:
     families = {task.robot.family for task in job.tasks}
     out = rapid_program.texts(job, plan, problem, margins) if "ABB" in families else {}
     out |= krl_program.texts(job, plan, problem, margins) if "KUKA" in families else {}
     out |= ur_program.texts(job, plan, problem, margins) if "UR" in families else {}
-    out |= trajectories.texts(job, plan, problem) if "ROS" in families else {}
-    return out | controller_texts(job, plan, problem)
+    driven, clocks = trajectories.texts(job, plan, problem) if "ROS" in families else ({}, {})
+    return Written(out | driven | controller_texts(job, plan, problem), clocks)

@@ -136,8 +136,12 @@ class TrimJob(Job[Trim]):
         left = shown(self.formed, (*sheet.holes, *cut), op.name) if drawn else {}
         return targets_of(op, self.setup, self.tool, tool, made, wanted, way, self.claims(), left)
 
-    def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
+    def driven(
+        self, targets: Targets, time: FloatArray, passed: FloatArray | None = None
+    ) -> tuple[Issue, ...]:
         """Slots in which the arm is slower on average than the operation allows."""
+        if passed is not None:
+            time = np.interp(np.arange(targets.count), *passed)
         return too_slow(self.operation, self.cutting, targets, time)
 
     def stated(self) -> tuple[Claim, ...]:

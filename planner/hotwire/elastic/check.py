@@ -408,19 +408,24 @@ def check_heat(op: ElasticWire, passed: list[Passed], curve: KerfCurve) -> list[
 
 
 def check_driven(
-    op: ElasticWire, here: Passed, curve: KerfCurve, edge: FloatArray, clock: FloatArray, spare: float
+    op: ElasticWire,
+    here: Passed,
+    curve: KerfCurve,
+    edge: FloatArray,
+    way: FloatArray,
+    clock: FloatArray,
+    spare: float,
 ) -> list[Issue]:
     """``kerf.too_hot`` where the arms drive the wire so much slower than its feed that the slot leaves its
     range, or more of the face than may be is off by over ``spare`` [m].
 
     ``here`` has the speeds that the face was offset for; ``edge`` (N, P, 3) [m] are the wires from the target
-    before the face to its last one, ``clock`` (2, N) how far the fastest point has come there [m] and when
-    [s].
+    before the face to its last one, ``way`` (N,) [m] how far the fastest point has come there, ``clock``
+    (2, K) when [s] it has gone how far [m].
     """
-    gone, time = clock
-    ends = np.clip(np.stack([gone - MELTED_WAY, gone + MELTED_WAY]), gone[0], gone[-1])
-    way, took = ends[1] - ends[0], np.interp(ends[1], gone, time) - np.interp(ends[0], gone, time)
-    slow = np.clip(way / np.maximum(took, 1e-9) / (FEED_SHARE * op.feed_mm_s * MM), 1e-3, 1.0)
+    ends = np.clip(np.stack([way - MELTED_WAY, way + MELTED_WAY]), way[0], way[-1])
+    took = np.interp(ends[1], *clock) - np.interp(ends[0], *clock)
+    slow = np.clip((ends[1] - ends[0]) / np.maximum(took, 1e-9) / (FEED_SHARE * op.feed_mm_s * MM), 1e-3, 1.0)
     vertices = here.vertices
     slow = slow[cKDTree(edge.reshape(-1, 3)).query(vertices)[1] // edge.shape[1]]
     width = curve.at(slow * here.speed)

@@ -49,6 +49,7 @@ from planner.hotwire.elastic.path import (
 )
 from planner.hotwire.elastic.sweep import Screen, Sweep
 from planner.hotwire.elastic.wire_choice import Attempt, choose, sweep_notes
+from planner.hotwire.least_feed import check_least
 from planner.hotwire.operation import AIR_FEED, ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
@@ -275,22 +276,27 @@ class ElasticJob(Job[ElasticWire]):
         screen = Screen(self.operation, setup, wanted, lambda op: 0.5 * _slot(op, setup))
         return (screen, *choose(screen, _attempt, self.advise))
 
-    def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
-        """``kerf.too_hot`` where the arms cannot drive the wire as fast as the feed asks for."""
+    def driven(
+        self, targets: Targets, time: FloatArray, passed: FloatArray | None = None
+    ) -> tuple[Issue, ...]:
+        """``motion.feed_min`` and ``kerf.too_hot`` where the arms cannot drive the wire as fast as the feed
+        asks for."""
         screen, made, _ = self._made
         op, edge = made.op, targets.edge
+        places = np.stack([np.arange(targets.count), time]) if passed is None else passed
+        out: list[Issue] = [*check_least(op, targets, np.interp(np.arange(targets.count), *places))]
         if op.power_w is None or edge is None:
-            return ()
+            return tuple(out)
         kinds = np.array([segment.key for segment in targets.segment])
         spare = max(op.shape_tol_mm * MM - made.within, 0.1 * op.shape_tol_mm * MM)
-        out: list[Issue] = []
         for here in _passed(op, made.cuts, screen.wanted, self.setup):
             rows = np.flatnonzero(kinds == Segment("cut", here.name).key)
             rows = np.append(rows[0] - 1, rows)
             gone = np.cumsum(np.append(0.0, targets.travel[rows[1:]]))
-            clock = np.stack([gone, time[rows]])
+            known = (places[0] >= rows[0]) & (places[0] <= rows[-1])
+            clock = np.stack([np.interp(places[0, known], rows, gone), places[1, known]])
             curve = _kerf(op, self.setup)
-            out += checks.check_driven(op, here, curve, edge.points[rows], clock, spare)
+            out += checks.check_driven(op, here, curve, edge.points[rows], gone, clock, spare)
         return aggregate(out)
 
     def stated(self) -> tuple[Claim, ...]:

@@ -20,17 +20,18 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from planner.claims.claim import Claim, KerfCurve
-from planner.geometry.arrays import FloatArray, from_parts, inverse
+from planner.geometry.arrays import FloatArray, IndexArray, from_parts, inverse
 from planner.geometry.units import DEG, MM
 from planner.hotwire import claims
 from planner.hotwire.kerf.models import most_power
 from planner.hotwire.kerf.test_cuts import HotWire
+from planner.hotwire.least_feed import check_least
 from planner.hotwire.operation import Straight, SurfaceCut
 from planner.hotwire.straight.check import check_bow, check_cut, check_holder, check_model
 from planner.hotwire.straight.cut import Cut, make_cut
 from planner.hotwire.straight.order import Lines, Wanted, chord, fastest, grown, wanted_surfaces
 from planner.hotwire.straight.route import Route, actions, check_drops, lay_out
-from planner.hotwire.straight.slot_check import check_driven, check_heat, check_inner, check_passed
+from planner.hotwire.straight.slot_check import along, check_driven, check_heat, check_inner, check_passed
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup, Stock
 from planner.targets import Freedom, Job, Rounding, ScrewFreedom, Targets
@@ -93,11 +94,12 @@ def _carried(x: FloatArray, first: FloatArray) -> FloatArray:
     return out
 
 
-def pose_clock(lines: Lines, pose: FloatArray, time: FloatArray) -> FloatArray:
-    """Times (N,) [s] of wires (N) of which some stand at the bow's poses (K, 4, 4), in the same order, at
-    ``time`` (K,) [s]: what lies between two of these is passed evenly."""
+def pose_clock(lines: Lines, pose: FloatArray, rows: IndexArray, places: FloatArray) -> FloatArray:
+    """Places between ``lines`` (N), 3.5 being half way from line 3 to line 4, and when [s] each is passed
+    (2, K): some lines stand at the bow's poses ``rows`` (R,), ascending, of all ``pose`` (M, 4, 4), and
+    ``places`` (2, L) are those between poses and their times; on a way between poses all is as far."""
     at: list[int] = []
-    for x, foot in zip(pose[:, :3, 0], pose[:, :3, 3], strict=True):
+    for x, foot in zip(pose[rows, :3, 0], pose[rows, :3, 3], strict=True):
         first = at[-1] if at else 0
         off = np.zeros(len(lines) - first)
         for ends in (lines.start[first:], lines.end[first:]):
@@ -105,7 +107,9 @@ def pose_clock(lines: Lines, pose: FloatArray, time: FloatArray) -> FloatArray:
         at.append(first + int(np.argmin(off)))
     way = [np.linalg.norm(np.diff(ends, axis=0), axis=1) for ends in (lines.start, lines.end)]
     gone = np.concatenate([[0.0], np.cumsum(np.maximum(*way))])
-    return np.asarray(np.interp(gone, gone[at], time))
+    known = (places[0] >= rows[0]) & (places[0] <= rows[-1])
+    way_gone = np.interp(places[0, known], rows, gone[at])
+    return np.stack([np.interp(way_gone, gone, np.arange(len(lines))), places[1, known]])
 
 
 def freedoms(
@@ -345,18 +349,27 @@ class StraightJob(Job[Straight]):
         kerf, thickness = _kerf(operation, setup, bow, todo)
         return todo, kerf, thickness, _cuts(operation, setup, part, bow, todo, kerf)
 
-    def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
-        """``straight.uneven``, ``kerf.too_hot`` and ``kerf.too_cold`` where the arms cannot turn the bow as
-        fast as the feed asks for."""
+    def driven(
+        self, targets: Targets, time: FloatArray, passed: FloatArray | None = None
+    ) -> tuple[Issue, ...]:
+        """``motion.feed_min``, ``straight.uneven``, ``kerf.too_hot`` and ``kerf.too_cold`` where the arms
+        cannot turn the bow as fast as the feed asks for."""
         stock, (_, kerf, _, cuts) = self.setup.stock, self._planned
         pose = targets.pose[self.operation.arms[0]]
         pose = pose if stock.held_by is None else inverse(stock.grip) @ pose
         kinds = np.array([segment.key for segment in targets.segment])
-        out: list[Issue] = []
+        places = np.stack([np.arange(targets.count), time]) if passed is None else passed
+        out: list[Issue] = [
+            *check_least(self.operation, targets, np.interp(np.arange(targets.count), *places))
+        ]
         for cut in (cut for cut in cuts if cut.on.settled):
-            last = np.flatnonzero(kinds == cut.wanted.segment.at("in").key)[-1:]
-            rows = np.concatenate([last, np.flatnonzero(kinds == cut.wanted.segment.key)])
-            clock = pose_clock(cut.on.lines, pose[rows], time[rows])
+            before, own, behind = (
+                np.flatnonzero(kinds == cut.wanted.segment.at(phase).key) for phase in ("in", "", "out")
+            )
+            if cut.turns:
+                behind = behind[: int(np.argmax(targets.stop[behind])) + 1]
+            rows = np.concatenate([before, own, behind])
+            clock = pose_clock(along(cut), pose, rows, places)
             out += check_driven(self.operation, cut, kerf, stock.box, clock)
         return aggregate(out)
 

@@ -360,6 +360,8 @@ def _volume(
 
 WIRE_SHARES: Final = np.linspace(0.0, 1.0, 9)
 """Places along the wire, between its guide points, at which its slot is looked at."""
+SLOWED_SPACING: Final = 2e-4
+"""[m] spacing of places where a clock tells how slow the wire is in a corner."""
 SLOT_SPACING: Final = 7e-4
 """[m] ways between looks."""
 MOST_HALVINGS: Final = 4
@@ -378,26 +380,35 @@ class Melted:
     speed: FloatArray
     half: FloatArray
 
-    def off(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
-        """How far (N, 2) [m] wires are off half their slots from the guide lines (M, 3)."""
+    def some(self, rows: BoolArray) -> Melted:
+        """Those of ``rows`` (N,)."""
+        return Melted(self.lines[rows], self.number[rows], self.speed[rows], self.half[rows])
+
+    def into(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """How much nearer (N, 2) [m] than half their slots wires are to the guide lines (M, 3)."""
         near = [
             distance_to_polyline(*pair)
             for pair in zip((self.lines.start, self.lines.end), guides, strict=True)
         ]
-        return np.asarray(np.abs(np.stack(near, axis=1) - self.half[:, [0, -1]]))
+        return np.asarray(self.half[:, [0, -1]] - np.stack(near, axis=1))
+
+    def off(self, guides: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """How far (N, 2) [m] wires are off half their slots from the guide lines (M, 3)."""
+        return np.abs(self.into(guides))
 
 
 def melted(
     lines: Lines, kerf: KerfCurve, feed: float, box: FloatArray, clock: FloatArray | None = None
 ) -> Melted:
     """The wires at lines (N) and on the straight ways between them, when the fastest point in the foam goes
-    at ``feed`` [m/s], or at the times ``clock`` (N,) [s] of the lines."""
-    lines, number = _finer(lines, box)
+    at ``feed`` [m/s], or at the times [s] of places by ``clock`` (2, K): 3.5 is half way from line 3 to line
+    4."""
+    lines, number = _finer(lines, box, SLOT_SPACING if clock is None else SLOWED_SPACING)
     time = None
     if clock is not None:
         count = np.bincount(number)
         share = (np.arange(len(number)) - np.cumsum(count)[number] + 1) / count[number]
-        time = clock[number] + share * np.diff(clock, prepend=clock[0])[number]
+        time = np.interp(number + share, *clock)
     speed = _speeds(lines, feed, box, time)
     return Melted(lines, number, speed, 0.5 * kerf.at(speed))
 
@@ -438,12 +449,12 @@ def _halved(row: Row, to: IndexArray) -> Row:
     return Row(Lines(*foot), normal, np.insert(row.turn, to, 0.0, axis=0))
 
 
-def _finer(lines: Lines, box: FloatArray) -> tuple[Lines, IndexArray]:
+def _finer(lines: Lines, box: FloatArray, spacing: float) -> tuple[Lines, IndexArray]:
     """Lines with such between them that no guide point, and nothing in the box, moves farther than
-    ``SLOT_SPACING`` from one to the next, and which of the given ones (N,) each comes to."""
+    ``spacing`` [m] from one to the next, and which of the given ones (N,) each comes to."""
     way = [np.linalg.norm(np.diff(ends, axis=0), axis=1) for ends in (lines.start, lines.end)]
     way.append(np.nan_to_num(fastest(lines, box)[1:]))
-    count = np.maximum(np.ceil(np.max(way, axis=0) / SLOT_SPACING).astype(np.intp), 1)
+    count = np.maximum(np.ceil(np.max(way, axis=0) / spacing).astype(np.intp), 1)
     to = np.repeat(np.arange(1, len(lines)), count)
     step = np.arange(len(to)) - np.repeat(np.cumsum(count) - count, count) + 1
     share = (step / count[to - 1])[:, None]

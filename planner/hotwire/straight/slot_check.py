@@ -21,7 +21,7 @@ from planner.geometry.units import MM
 from planner.hotwire.operation import Straight
 from planner.hotwire.straight.cut import Cut
 from planner.hotwire.straight.offset import DAMPING, WIRE_SHARES, Melted, beside, foam_left, guides, melted
-from planner.hotwire.straight.order import join, place_text
+from planner.hotwire.straight.order import Lines, join, place_text
 from planner.issues import Issue, Severity
 from planner.targets import FEED_SHARE
 
@@ -194,7 +194,7 @@ def check_passed(op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray) -> It
     number = whole.number - len(ahead)
     own = (number > 0) & (number < count)
     own[np.flatnonzero(number == 0)[-1:]] = True  # what comes to the first wire is still on the way in
-    passed = Melted(whole.lines[own], number[own], whole.speed[own], whole.half[own])
+    passed = whole.some(own)
     low, high = op.kerf_range_mm
     at_guides = 2.0 * cut.on.half / MM
     if op.power_w is not None:
@@ -204,16 +204,51 @@ def check_passed(op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray) -> It
     yield from _off(op, cut, passed)
 
 
+def along(cut: Cut) -> Lines:
+    """The wires of a cut from the way in to the way out, up to where it turns back."""
+    return join([cut.into, cut.on.lines, cut.out[: cut.turns] if cut.turns else cut.out])
+
+
 def check_driven(
     op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray, clock: FloatArray
 ) -> Iterator[Issue]:
-    """As :func:`check_passed`, at the times ``clock`` (N,) [s] of the wires on the surface that the arms can
-    keep."""
-    passed = melted(cut.on.lines, kerf, op.feed(cut.wanted.cut), box, clock)
+    """As :func:`check_passed`, at the times that the arms can keep: ``clock`` (2, K) of places between the
+    wires :func:`along` the cut and when [s] they are passed; nor does a wire that is slow on the way in or
+    out melt into the surface."""
+    if op.power_w is None:
+        return
+    whole = melted(along(cut), kerf, op.feed(cut.wanted.cut), box, clock)
+    number = whole.number - len(cut.into)
+    own = (number > 0) & (number < len(cut.on.lines))
+    own[np.flatnonzero(number == 0)[-1:]] = True
+    passed = whole.some(own)
     why = "the arm cannot turn the bow as fast as the feed asks for, so that it melts a wider slot"
-    if op.power_w is not None:
-        yield from _width(op, cut, passed)
-        yield from _off(op, cut, passed, why)
+    yield from _width(op, cut, passed)
+    yield from _off(op, cut, passed, why)
+    if cut.wanted.ruled.hole:
+        return  # the ways in and out pass its surface in a slit
+    beside = whole.some(~own)
+    deep = beside.into(guides(cut.wanted.ruled))
+    row, end = np.unravel_index(int(np.argmax(deep)), deep.shape)
+    worst, allowed = float(deep[row, end]), op.shape_tol_mm * MM
+    if worst > USABLE_SHARE * allowed:
+        what = (
+            f"{op.name}: beside {cut.wanted.segment} the arm cannot drive the bow round the corner as fast "
+        )
+        what += f"as the feed asks for, so that it melts {worst / MM:.2f} mm into the part at "
+        what += f"{_place(beside, int(row), float(end))}"
+        hint = (
+            "take a lower feed_mm_s with less power_w, which corners slow down less, or a larger shape_tol_mm"
+        )
+        yield Issue(
+            "straight.uneven",
+            what,
+            field=str(cut.wanted.segment),
+            value=worst / MM,
+            limit=allowed / MM,
+            unit="mm",
+            hint=hint,
+        )
 
 
 def check_inner(op: Straight, cut: Cut, box: FloatArray) -> Iterator[Issue]:

@@ -45,8 +45,6 @@ LEAST_FEED_USED: Final = 1.04
 """So many times as long as its least feed allows a way may take, as a whole,"""
 LONG_TIME: Final = 0.004
 """and in each such time [s],"""
-MOST_LONGER: Final = 1.15
-"""and so many times as long as it is planned: slots are wider where a wire is slower."""
 CREEPING: Final = 0.12
 """and at no place of it the joints are slower than this share of the mean speed there."""
 MARK: Final = 0.3
@@ -161,11 +159,11 @@ def _parts(arms: Sequence[Driven], q: FloatArray, wanted: Wanted, stops: IntArra
         except NotKeptError as lost:
             cuts = [k for k in (lost.row, lost.row + 1) if 0 < k < b - a and own.may_stop[k - 1]]
             if not cuts:
-                raise NotKeptError(a + lost.row, lost.why) from None
+                raise NotKeptError(a + lost.row, lost.why, lost.share) from None
             try:
                 parts = _parts(arms, rows, own, np.array(cuts))
             except NotKeptError as still:
-                raise NotKeptError(a + still.row, still.why) from None
+                raise NotKeptError(a + still.row, still.why, still.share) from None
         out += [dataclasses.replace(part, end=part.end + a) for part in parts]
     return out
 
@@ -330,7 +328,7 @@ def _over(
     speed = np.abs(np.stack([v[:-1], v[1:], middle])).max(axis=0) / fastest
     rise = np.sqrt(np.maximum(np.abs(first), np.abs(last)) / quickest)
     out = np.maximum(speed.max(axis=1), rise.max(axis=1))
-    way = _at(q, span, v, np.linspace(0.0, 1.0, _PIECES + 1))
+    way = between(q, span, v, np.linspace(0.0, 1.0, _PIECES + 1))
     for arm, most in zip(arms, wanted.fastest, strict=True):
         most = np.minimum(most[points.end[1:]], np.inf if arm.carrier else wanted.tcp_speed)
         out = np.maximum(out, _fastest(arm.tool(way), span) / (TOOL_SPEED_USED * most))
@@ -346,25 +344,22 @@ def _fastest(way: FloatArray, span: FloatArray) -> FloatArray:
 
 
 def _keeps_up(arms: Sequence[Driven], points: _Points, v: FloatArray, wanted: Wanted) -> None:
-    """Raise where ways that have a least feed take longer than it allows and than was planned, or what melts
-    comes near to a standstill."""
+    """Raise where ways that have a least feed take longer than it allows, or what melts comes near to a
+    standstill."""
     took = np.bincount(points.end[1:], points.span, len(wanted.duration))
     asked = wanted.least > 0.0
     most = np.maximum(wanted.duration, 1.0 / np.where(asked, wanted.least, np.inf)) * LEAST_FEED_USED
-    slow = np.flatnonzero(asked & (took > most))
-    if len(slow):
-        raise NotKeptError(int(slow[0]), "joints would fall below the least feed")
-    slow = np.flatnonzero(asked & (took > MOST_LONGER * wanted.duration))
-    if len(slow):
-        raise NotKeptError(int(slow[0]), "it would take much longer than its slot is planned for")
-    row, way = points.end[1:], _at(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
+    kept = np.where(asked, most / took, np.inf)
+    row, way = points.end[1:], between(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
     bound = asked & (wanted.duration * wanted.least <= LEAST_FEED_USED)
     bound[[0, -1]] = False
     for arm, floor in zip(arms, wanted.slowest, strict=True):
-        slowest = _slowest(arm.tool(way)[..., :3, 3], points.span)
-        late = np.flatnonzero(bound[row] & (slowest < floor[row] / LEAST_FEED_USED))
-        if len(late):
-            raise NotKeptError(int(row[late[0]]), "the tool would fall below its least feed")
+        share = _slowest(arm.tool(way)[..., :3, 3], points.span) * LEAST_FEED_USED
+        share = np.where(bound[row] & (floor[row] > 0.0), share / np.maximum(floor[row], 1e-9), np.inf)
+        np.minimum.at(kept, row, share)
+    if kept.min() < 1.0:
+        why = "tools would fall below the least feed"
+        raise NotKeptError(int(np.argmin(kept)), why, float(kept.min()))
     scale = np.concatenate([arm.robot.velocity for arm in arms])
     way = way[:, :: _PIECES // 8] / scale
     stands = _creeps(way, v / scale, points.span)
@@ -406,7 +401,7 @@ def _creeps(way: FloatArray, rate: FloatArray, span: FloatArray) -> BoolArray:
     return out
 
 
-def _at(q: FloatArray, span: FloatArray, v: FloatArray, shares: FloatArray) -> FloatArray:
+def between(q: FloatArray, span: FloatArray, v: FloatArray, shares: FloatArray) -> FloatArray:
     """Joints (P - 1, S, D) at shares of the times between points."""
     t = np.append(0.0, np.cumsum(span))
     when = t[:-1, None] + shares * span[:, None]
@@ -417,7 +412,7 @@ def _at(q: FloatArray, span: FloatArray, v: FloatArray, shares: FloatArray) -> F
 def _far(arms: Sequence[Driven], points: _Points, v: FloatArray, wanted: Wanted) -> BoolArray:
     """Between which points (P - 1,) a tool leaves the straight way."""
     out = np.zeros(len(points.span), dtype=bool)
-    way = _at(points.q, points.span, v, _SHARES)
+    way = between(points.q, points.span, v, _SHARES)
     for arm, most in zip(arms, wanted.kept_turn, strict=False):
         ends, here = arm.tool(points.q), arm.tool(way)
         share, _, _ = share_gone(ends, here)
@@ -432,7 +427,7 @@ def _uneven(arms: Sequence[Driven], points: _Points, v: FloatArray) -> BoolArray
     """Between which points (P - 1,) a tool goes back, or faster than :data:`UNEVEN` times as in the mean
     there and beside."""
     out = np.zeros(len(points.span), dtype=np.bool_)
-    way = _at(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
+    way = between(points.q, points.span, v, np.linspace(0.0, 1.0, _PIECES + 1))
     for arm in arms:
         place = arm.tool(way)[..., :3, 3]
         whole = place[:, -1] - place[:, 0]
@@ -453,7 +448,7 @@ def _between(arms: Sequence[Driven], points: _Points, v: FloatArray, rows: IntAr
     beside = points.corner[rows] | points.corner[rows + 1]
     if beside.any():
         raise NotKeptError(int(end[rows[beside][0] + 1]), "a corner there leaves the way at this speed")
-    middle = _at(q, span, v, np.array([0.5]))
+    middle = between(q, span, v, np.array([0.5]))
     shares, weights = [], []
     for arm in arms:
         share, length, angle = share_gone(arm.tool(q), arm.tool(middle))

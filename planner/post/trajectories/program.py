@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -15,7 +16,8 @@ import numpy as np
 
 from planner import __version__
 from planner.claims import vocabulary
-from planner.geometry.arrays import FloatArray, log_rotation
+from planner.geometry.arrays import FloatArray, IntArray, log_rotation
+from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import (
@@ -36,12 +38,13 @@ from planner.post.program import (
 from planner.post.steps import require_mass
 from planner.post.trajectories import rows
 from planner.post.trajectories.beginnings import settling_time, way_time
+from planner.post.trajectories.clocks import passed, spliced
 from planner.post.trajectories.curves import Curve, curve
 from planner.post.trajectories.rows import JOINT_DECIMALS, TIME_DECIMALS, row
 from planner.post.trajectories.straight_ways import Driven, NotKeptError
 from planner.post.trajectories.wanted import wanted
 from planner.problem import Arm, Controller, Problem
-from planner.targets import Action
+from planner.targets import Action, Targets
 from planner.tooling import Tool
 
 SAME_JOINTS: Final = 1e-6
@@ -58,8 +61,9 @@ def joint_names(arm: Arm, controller: Controller) -> tuple[str, ...]:
     return tuple(f"{prefix}{joint}" for joint in arm.data.joints)
 
 
-def texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
-    """The file of a job by its name. Raises :class:`TandemError` (``post.*``)."""
+def texts(job: Job, plan: Plan, problem: Problem) -> tuple[dict[str, str], dict[int, FloatArray]]:
+    """The file of a job by its name, and by the indices of operations the places (2, K) between their targets
+    and when [s] it passes them. Raises :class:`TandemError` (``post.*``)."""
     main = _Main(job, plan, problem)
     path = f"{rows.stem(problem.name)}.trajectory.jsonl"
     text = rows.sealed(main.lines())
@@ -70,7 +74,8 @@ def texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
         most = max(main.points, limits.max_moves), max(kilobytes(text), limits.max_bytes // 1000)
         hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
         raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
-    return {path: text}
+    planned = [operation.time for operation in plan.operations]
+    return {path: text}, {k: spliced(planned[k], runs) for k, runs in main.runs.items()}
 
 
 class _Main:
@@ -92,6 +97,8 @@ class _Main:
         """The operation's own row, and its programs, until something moves."""
         self.out: list[str] = []
         self.points = 0
+        self.runs: dict[int, list[tuple[IntArray, FloatArray]]] = {}
+        """Of each operation what its curves go to, and when."""
 
     def lines(self) -> list[str]:
         """All rows but the last one."""
@@ -234,8 +241,9 @@ class _Main:
             message = (
                 f"operation {lead.name}: on the way to target {first + lost.row + 1} ({segment}): {lost.why}"
             )
-            hint = "let the motion stop at sharp corners, or go slower there"
+            hint = _helps(targets, int(lead.targets[first + lost.row]), lost.share)
             raise TandemError(Issue("post.trajectory", message, arm=arms[0], hint=hint)) from None
+        self.runs.setdefault(runs[0].operation, []).append((lead.targets[some], passed(driven[0], q, made)))
         begun = self._move(arms)
         labels = [rows.label(lead.segments[first + row]) for row in made.end[1:].tolist()]
         self._points(made, begun, arms, labels)
@@ -338,6 +346,17 @@ class _Main:
                 self.out.append(row({"dwell": rows.real(action.seconds, 3), "on_failure": list(self.on)}))
             case "input":
                 raise TandemError(no_torch(arm))
+
+
+def _helps(targets: Targets, row: int, share: float) -> str:
+    """What to do where no points keep the way to target ``row``, or but a ``share`` of its least feed."""
+    if targets.may_stop or not targets.segment[row].works:
+        return "let the motion stop at sharp corners, or go slower there"
+    slower = "go slower there (feed_mm_s), allow more (shape_tol_mm), or round the corner in the part"
+    if share < 1.0:
+        least = math.floor(10.0 * share * targets.feed_min[row] / MM) / 10.0
+        return f"feed_min_mm_s: {least:g} there, which is kept; or {slower}"
+    return slower
 
 
 def no_torch(arm: str) -> Issue:

@@ -52,11 +52,12 @@ def carriers_first(arms: Sequence[Driven]) -> list[Driven]:
 
 
 class NotKeptError(Exception):
-    """No points keep the way: ``row`` of the given ways, and why."""
+    """No points keep the way: ``row`` of the given ways, and why; ``share`` of its least feed that is kept,
+    where that is why."""
 
-    def __init__(self, row: int, why: str) -> None:
+    def __init__(self, row: int, why: str, share: float = 1.0) -> None:
         super().__init__(why)
-        self.row, self.why = row, why
+        self.row, self.why, self.share = row, why, share
 
 
 def share_gone(ends: FloatArray, here: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
