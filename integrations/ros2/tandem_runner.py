@@ -29,7 +29,9 @@ from typing import Any, Protocol
 VERSION = 2
 """The form of the file that is run."""
 FRESH_S = 0.5
-"""Joints that were heard of longer ago count for nothing."""
+"""Joints that were heard of longer ago count for nothing, also while they move."""
+LOOK_S = 0.1
+"""How often it looks, while something lasts, whether they are heard of."""
 ANSWER_S = 5.0
 """How long a service or an action may take to answer."""
 ALIVE_HZ = 10.0
@@ -267,6 +269,7 @@ class RosCell:
         self.ends: Any = None
         self.cancelled: Any = None
         self.stopped = False
+        self.joints: Sequence[str] = ()
         node.create_subscription(JointState, "/joint_states", self._heard, 10)
         alive = node.create_publisher(Empty, f"{prefix}/alive", 1)
         node.create_timer(1.0 / ALIVE_HZ, lambda: alive.publish(Empty()))
@@ -276,7 +279,8 @@ class RosCell:
         self.states.update({name: (now, at) for name, at in zip(message.name, message.position)})
 
     def check(self, joints: Sequence[str], outputs: Sequence[str], inputs: Sequence[str]) -> None:
-        """Action, services and topics are there, and joints of all names are heard of."""
+        """Action, services and topics are there, joints of all names are heard of, and no other runner is at
+        work."""
         from std_msgs.msg import Bool
         from std_srvs.srv import SetBool
 
@@ -297,17 +301,25 @@ class RosCell:
                 lost = ", ".join(name for name in joints if name not in self.states)
                 raise StoppedError(f"nothing is heard of the joints {lost}")
             time.sleep(0.05)
+        if self.node.count_publishers(f"{self.prefix}/alive") > 1:
+            raise StoppedError(f"another runner is at work: somebody else says {self.prefix}/alive")
+        self.joints = joints
 
     def posture(self, joints: Sequence[str]) -> list[float]:
         """Joints by name, heard of just now."""
+        self._hears(joints)
+        return [self.states[name][1] for name in joints]
+
+    def _hears(self, joints: Sequence[str]) -> None:
+        """Joints of all these names were heard of just now."""
         now = time.monotonic()
         old = [name for name in joints if now - self.states[name][0] > FRESH_S]
         if old:
             raise StoppedError(f"nothing new is heard of the joints {', '.join(old)}")
-        return [self.states[name][1] for name in joints]
 
     def follow(self, joints: Sequence[str], move: Row, points: Sequence[Row]) -> None:
-        """Send a goal, and wait for its end."""
+        """Send a goal, and wait for its end: a driver or controller that dies on the way says nothing, but
+        nothing more is heard of its joints."""
         self.sent = self.action.send_goal_async(goal_of(joints, move, points))
         self.sent.add_done_callback(self._answered)
         handle = self._done(self.sent, ANSWER_S)
@@ -315,7 +327,7 @@ class RosCell:
             self.sent = None
             raise StoppedError("the controller refuses the goal")
         self.handle, self.ends = handle, handle.get_result_async()
-        ended = self._done(self.ends, points[-1]["t"] + move["goal_time"] + ANSWER_S)
+        ended = self._done(self.ends, points[-1]["t"] + move["goal_time"] + ANSWER_S, self.joints)
         if ended.status != SUCCEEDED or ended.result.error_code != 0:
             code, said = ended.result.error_code, ended.result.error_string
             raise StoppedError(f"the move did not end: status {ended.status}, error {code} {said}")
@@ -363,7 +375,11 @@ class RosCell:
             time.sleep(0.01)
 
     def ask(self, text: str) -> None:
-        """Ask at the terminal."""
+        """Ask at the terminal: what was typed before counts for nothing."""
+        with contextlib.suppress(Exception):  # no terminal, or another system
+            import termios
+
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
         if input(f"{text} (yes) ").strip().lower() != "yes":
             raise StoppedError(f"no yes to: {text}")
 
@@ -373,15 +389,20 @@ class RosCell:
 
     def sleep(self, seconds: float) -> None:
         """Wait."""
-        time.sleep(seconds)
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._hears(self.joints)
+            time.sleep(min(left, LOOK_S))
 
-    @staticmethod
-    def _done(future: Any, seconds: float) -> Any:
-        """What a future gives, which another thread works on."""
+    def _done(self, future: Any, seconds: float, joints: Sequence[str] = ()) -> Any:
+        """What a future gives, which another thread works on, while ``joints`` are heard of."""
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
-        if not done.wait(seconds):
-            raise StoppedError(f"no answer within {seconds:g} s")
+        end = time.monotonic() + seconds
+        while not done.wait(min(LOOK_S, max(end - time.monotonic(), 0.0))):
+            self._hears(joints)
+            if time.monotonic() >= end:
+                raise StoppedError(f"no answer within {seconds:g} s")
         return future.result()
 
 
@@ -399,13 +420,28 @@ def goal_of(joints: Sequence[str], move: Row, points: Sequence[Row]) -> Any:
     goal = FollowJointTrajectory.Goal()
     goal.trajectory.joint_names = list(joints)
     goal.trajectory.points = [
-        JointTrajectoryPoint(positions=row["q"], velocities=row["v"], time_from_start=duration(row["t"]))
+        JointTrajectoryPoint(
+            positions=list(map(float, row["q"])),  # whole numbers of JSON are none of ROS
+            velocities=list(map(float, row["v"])),
+            time_from_start=duration(row["t"]),
+        )
         for row in points
     ]
-    goal.path_tolerance = [JointTolerance(name=n, position=v) for n, v in zip(joints, move["path"])]
-    goal.goal_tolerance = [JointTolerance(name=n, position=v) for n, v in zip(joints, move["goal"])]
+    goal.path_tolerance = [JointTolerance(name=n, position=float(v)) for n, v in zip(joints, move["path"])]
+    goal.goal_tolerance = [JointTolerance(name=n, position=float(v)) for n, v in zip(joints, move["goal"])]
     goal.goal_time_tolerance = duration(move["goal_time"])
     return goal
+
+
+STOPS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""A terminal that is closed, or lost, is a stop too."""
+
+
+def stop(number: int, frame: Any) -> None:
+    """What a signal does: it stops the run, once; a second one would keep outputs from being switched off."""
+    for one in STOPS:
+        signal.signal(one, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -425,9 +461,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     # its own handlers would end the services on Ctrl-C, before outputs are switched off
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    for name in ("SIGTERM", "SIGHUP"):  # a terminal that is closed, or lost, is a stop too
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.default_int_handler)
+    for number in STOPS:
+        signal.signal(number, stop)
     node = rclpy.create_node("tandem_runner")
     executor = MultiThreadedExecutor()
     executor.add_node(node)
@@ -438,6 +473,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"STOPPED: {error}", file=sys.stderr)
         return 1
     finally:
+        for number in STOPS:
+            signal.signal(number, signal.SIG_DFL)
         executor.shutdown()
         rclpy.shutdown()
     print("Done.")

@@ -244,7 +244,16 @@ class Goal:
 def ros(monkeypatch):
     """Stand-ins for the names of ROS 2 that the runner uses."""
     said = types.SimpleNamespace(
-        goals=[], cancelled=0, status=4, code=0, accepted=True, switched=[], success=True, answer=Message()
+        goals=[],
+        cancelled=0,
+        status=4,
+        code=0,
+        accepted=True,
+        switched=[],
+        success=True,
+        answer=Message(),
+        runners=1,
+        ends=True,
     )
 
     class Action:
@@ -257,6 +266,7 @@ def ros(monkeypatch):
         def send_goal_async(self, goal):
             said.goals.append(goal)
             ended = Message(status=said.status, result=Message(error_code=said.code, error_string="why"))
+            ended = ended if said.ends else None
 
             def cancel():
                 said.cancelled += 1
@@ -279,6 +289,10 @@ def ros(monkeypatch):
 
         def create_timer(self, period, call):
             call()
+
+        def count_publishers(self, topic):
+            assert topic == "/tandem/alive"
+            return said.runners
 
         def create_client(self, kind, name):
             def call_async(request):
@@ -342,9 +356,9 @@ def test_a_goal_that_is_aborted_stops(ros, values, said):
 
 def test_an_interrupted_goal_rests_where_the_controller_says_so(ros, monkeypatch):
     move, points = {"path": [0.1], "goal": [0.1], "goal_time": 1.0}, [{"t": 1.0, "q": [0.0], "v": [0.0]}]
-    done = runner.RosCell._done
+    done = ros.cell._done
 
-    def interrupted(future, seconds):
+    def interrupted(future, seconds, joints=()):
         raise KeyboardInterrupt
 
     def stopped(**values):
@@ -385,8 +399,11 @@ def test_a_terminal_that_is_closed_is_a_stop(ros, monkeypatch, tmp_path):
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setattr(runner, "RosCell", lambda *given: Cell())
     assert runner.main([str(result(tmp_path))]) == 0
-    wanted = [getattr(runner.signal, name) for name in ("SIGTERM", "SIGHUP")]
-    assert caught == dict.fromkeys(wanted, runner.signal.default_int_handler)
+    wanted = [getattr(runner.signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
+    assert caught == dict.fromkeys(wanted, runner.signal.SIG_DFL)  # the run is over
+    with pytest.raises(KeyboardInterrupt):
+        runner.stop(runner.signal.SIGINT, None)
+    assert caught == dict.fromkeys(wanted, runner.signal.SIG_IGN)  # a second one keeps nothing on
 
 
 def test_a_goal_that_is_refused_and_an_output_that_answers_no_stop(ros):
@@ -403,3 +420,27 @@ def test_a_goal_that_is_refused_and_an_output_that_answers_no_stop(ros):
     ros.cell.states["a"] = (-10.0, 0.0)
     with pytest.raises(runner.StoppedError, match="nothing new"):
         ros.cell.posture(["a"])
+
+
+def test_a_driver_that_dies_on_the_way_stops_at_once(ros, monkeypatch):
+    """Nobody answers any more: no abort comes, and the wire would burn until the move is late."""
+    move, points = {"path": [0.1], "goal": [0.1], "goal_time": 1.0}, [{"t": 900.0, "q": [0], "v": [0.0]}]
+    ros.heard["/joint_states"](Message(name=["a"], position=[0.0]))
+    ros.cell.check(["a"], [], [])
+    monkeypatch.setattr(runner, "FRESH_S", 0.02)
+    monkeypatch.setattr(runner, "LOOK_S", 0.01)
+    ros.ends = None
+    before = runner.time.monotonic()
+    with pytest.raises(runner.StoppedError, match="nothing new is heard of the joints a"):
+        ros.cell.follow(["a"], move, points)
+    with pytest.raises(runner.StoppedError, match="nothing new is heard"):
+        ros.cell.sleep(900.0)
+    assert runner.time.monotonic() - before < 60.0
+    assert isinstance(ros.goals[0].trajectory.points[0].positions[0], float)  # ROS takes no whole number
+
+
+def test_a_second_runner_does_nothing(ros):
+    ros.heard["/joint_states"](Message(name=["a"], position=[0.0]))
+    ros.runners = 2
+    with pytest.raises(runner.StoppedError, match="another runner"):
+        ros.cell.check(["a"], [], [])
