@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
+from planner.cell.kinematics import forward
 from planner.claims.claim import StraightWire
+from planner.geometry.arrays import inverse
 from planner.verify import job
+from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.replay import moves
 from planner.verify.trajectories import rows as rows_of_text
+from planner.verify.trajectories import tool_speeds
 from tests.verify import driven_job, held_job, provers, small_job, straight_job
 from tests.verify.driven_mutants import BENT, HELD, MUTATORS
 
@@ -134,6 +138,33 @@ def test_the_proof_knows_the_arm_by_its_own_chain():
     }
     proof = Prover(driven_job.bow_problem(), claims).prove(driven_job.bow_programs())
     assert not proof.ok
+
+
+def test_speeds_are_those_that_the_block_sees_also_where_an_arm_goes_alone_in_its_setup():
+    """The ways of the arm that cuts are its own; the text's kinematics by the planner's."""
+    problem, programs = driven_job.held_problem(), driven_job.held_programs()
+    context = Context(problem, held_job.claims(), programs, ())
+    own = tool_speeds.tool_speeds(context)["left"]
+    rows, data = driven_job.rows_of(programs), problem.cell.arms[0].data
+    moves = [row["move"] for row in rows if "move" in row]
+    assert ["left"] in moves and ["left", "right"] in moves
+    left, right = (held_job.BASES[arm] for arm in ("left", "right"))
+    tcp = {arm: held_job.cell().arm(arm).tool.tcp for arm in ("left", "right")}
+    looked = 0
+    for k, move in enumerate(own.moves):
+        if move.wobj.fixed or "t" not in rows[move.line - 2]:
+            continue
+        ends = [rows[line - 1] for line in (move.line - 1, move.line)]
+        seen = [
+            inverse(right @ forward(data, np.array(row["q"][6:])) @ tcp["right"])
+            @ (left @ forward(data, np.array(row["q"][:6])) @ tcp["left"])
+            for row in ends
+        ]
+        way = np.linalg.norm(seen[1][:3, 3] - seen[0][:3, 3])
+        assert own.length[k] == pytest.approx(way, abs=1e-8)
+        assert own.peak[k] >= way / (ends[1]["t"] - ends[0]["t"]) - 1e-9
+        looked += 1
+    assert looked > 40
 
 
 def test_two_files_are_one_too_many():

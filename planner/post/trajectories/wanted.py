@@ -29,9 +29,12 @@ def wanted(
     """Of the rows ``some`` of the tracks of arms that move at once, by the program of each."""
     lead = next(iter(programs.values()))
     rows, tracks = lead.targets[some], [p.track for p in programs.values() if p.track is not None]
+    held = {track.frame for track in tracks}
+    cuts = np.array([[f"held:{arm}" not in held] for arm, p in programs.items() if p.track is not None])
     way, feed, feed_min = targets.travel[rows], targets.feed[rows], targets.feed_min[rows]
     goes = np.stack([track.distance[some] for track in tracks]) * MM
-    fed, share = (way > 0.0) & (goes >= LEAST_PART * way), 1.0 / np.where(way > 0.0, way, np.inf)
+    # feeds are those of tools as the block sees them, not of the arm that holds it
+    fed, share = cuts & (way > 0.0) & (goes >= LEAST_PART * way), 1.0 / np.where(way > 0.0, way, np.inf)
     least = feed_min * share
     alone = np.full(len(way), targets.may_stop and len(programs) == 1)
     alone &= (least == 0.0) & (np.append(least[1:], 0.0) == 0.0)

@@ -51,13 +51,30 @@ class ToolSpeeds:
 
 @dataclasses.dataclass(frozen=True)
 class _Arm:
-    """An arm that is driven: joints and velocities at the two ends of its moves, and their nodes."""
+    """An arm that is driven: joints ``q`` and velocities ``v`` (N + 1, J) between its moves, and their
+    nodes."""
 
     task: TaskText
     machine: Machine
     moves: tuple[MoveStep, ...]
     node: IntArray
-    ends: Ends
+    q: FloatArray
+    v: FloatArray
+
+    def ends(self, rows: IntArray) -> Ends:
+        """Joints and velocities at the two ends of the moves ``rows`` (M,)."""
+        return self.q[rows], self.q[rows + 1], self.v[rows], self.v[rows + 1]
+
+    def at(self, nodes: IntArray) -> Ends:
+        """The same on the way to ``nodes`` (M,): where the arm has no move it stands where the one before has
+        left it."""
+        rows = np.searchsorted(self.node, nodes)
+        moves = np.append(self.node, -1)[rows] == nodes
+        a, still = self.q[rows], np.zeros_like(self.q[rows])
+        rows = np.where(moves, rows, -1)
+        b, before, behind = self.q[rows + 1], self.v[rows], self.v[rows + 1]
+        own = moves[:, None]
+        return a, np.where(own, b, a), np.where(own, before, still), np.where(own, behind, still)
 
 
 def tool_speeds(context: Context) -> Mapping[str, ToolSpeeds]:
@@ -76,7 +93,7 @@ def _arm(context: Context, task: TaskText) -> _Arm:
     moves = tuple(step for step in task.steps if isinstance(step, MoveStep))
     q, v = driven_knots(task.arm.data, moves, task.arm.home)
     node = np.flatnonzero(context.motion.node_line[task.arm.name] > 0)
-    return _Arm(task, machine_of(task.arm.data), moves, node, (q[:-1], q[1:], v[:-1], v[1:]))
+    return _Arm(task, machine_of(task.arm.data), moves, node, q, v)
 
 
 def _speeds(context: Context, arm: _Arm, arms: Mapping[str, _Arm]) -> ToolSpeeds:
@@ -91,23 +108,23 @@ def _speeds(context: Context, arm: _Arm, arms: Mapping[str, _Arm]) -> ToolSpeeds
     for (_, holder, setup), rows in groups.items():
         tool, other = arm.moves[rows[0]].tool.pose, arms.get(holder)
         some = np.array(rows)
-        ends = _of(arm.ends, some)
+        ends = arm.ends(some)
         seen = in_world(arm.machine, tool)
         world[some] = peak[some] = peak_speeds(seen, ends, span[some])
-        if other is not None and np.isin(arm.node[some], other.node).all():
-            at = np.searchsorted(other.node, arm.node[some])
+        if other is not None:
             bases = context.based(setup)
+            last = np.searchsorted(other.node, arm.node[some[-1]], side="right") - 1
+            grip = other.moves[int(last)].tool.pose if last >= 0 else other.task.arm.tool.tcp
             seen = from_holder(
-                (arm.machine, tool, bases[arm.task.arm.name]),
-                (other.machine, other.moves[int(at[0])].tool.pose, bases[holder]),
+                (arm.machine, tool, bases[arm.task.arm.name]), (other.machine, grip, bases[holder])
             )
-            held = _of(other.ends, at)
+            held = other.at(arm.node[some])
             both = [np.concatenate([h[:, ::-1], e], axis=1) for h, e in zip(held, ends, strict=True)]
             ends = (both[0], both[1], both[2], both[3])
             peak[some] = peak_speeds(seen, ends, span[some])
             creeps[some], going[some], rate[some] = _slow(seen, ends, span[some])
         length[some], back[some] = _straight(seen, ends, span[some])
-    passed = np.array([any(v) for v in arm.ends[3]], dtype=np.bool_)
+    passed = arm.v[1:].any(axis=1)
     beside = np.minimum(going, np.append(going[1:], np.inf))
     creeps |= passed & (rate < SLOW * beside)
     return ToolSpeeds(arm.moves, arm.node, world, peak, length, length / span, back, creeps)
@@ -143,10 +160,6 @@ def _marks(pose: FloatArray) -> FloatArray:
     """Places (..., 9) [m] of the TCP of poses (..., 4, 4) and of points on two of its axes."""
     points = [pose[..., :3, 3] + far * pose[..., :3, axis] for far, axis in ((0.0, 0), (MARK, 0), (MARK, 1))]
     return np.concatenate(points, axis=-1)
-
-
-def _of(ends: Ends, rows: IntArray) -> Ends:
-    return ends[0][rows], ends[1][rows], ends[2][rows], ends[3][rows]
 
 
 def peaks(context: Context) -> FloatArray:
