@@ -447,7 +447,8 @@ def _trajectory_tasks(
     arms = {arm.name: arm for arm in problem.cell.arms if speaks_trajectories(arm)}
     lost: list[Fault] = []
     if len(files) > 1:
-        what = f"{len(files)} files of trajectories; all arms need one, for one clock moves them"
+        what = f"{len(files)} files of trajectories, {', '.join(sorted(files))}; one clock moves all arms, "
+        what += "so that one file is wanted"
         faults = (*faults, Fault(1, 1, "trajectory.name_file", what, sorted(files)[1]))
     if program is None:
         return [], faults, lost
@@ -457,9 +458,12 @@ def _trajectory_tasks(
         if row.arm not in wanted:
             what = f"there is no arm {row.arm} that trajectories move; known are {', '.join(wanted)}"
             lost.append(Fault(row.line, 1, "trajectory.flow", what, file))
-        elif row.joints != wanted[row.arm] or row.robot != arms[row.arm].robot:
+        elif row.robot != arms[row.arm].robot:
+            what = f"arm {row.arm} is said to be {row.robot}; wanted: {arms[row.arm].robot}"
+            lost.append(Fault(row.line, 1, "trajectory.flow", what, file))
+        elif row.joints != wanted[row.arm]:
             what = f"the joints of {row.arm} ({row.robot}) are {', '.join(row.joints)}; wanted: "
-            what += f"{', '.join(wanted[row.arm])} of {arms[row.arm].robot}, in this order"
+            what += f"{', '.join(wanted[row.arm])}, in this order"
             lost.append(Fault(row.line, 1, "trajectory.flow", what, file))
     order = [row.arm for row in program.arms]
     if order != [name for name in wanted if name in order]:

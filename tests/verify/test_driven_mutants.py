@@ -172,7 +172,21 @@ def test_two_files_are_one_too_many():
     ((_, text),) = programs.items()
     proof = prover("bow").prove({**programs, "other.trajectory.jsonl": text})
     assert not proof.ok
-    assert "verify.files" in provers.broken(proof) or "verify.syntax" in provers.broken(proof)
+    (issue,) = (issue for issue in proof.issues if issue.code == "verify.files")
+    assert "one file is wanted" in issue.message and issue.hint == "take all but one away"
+
+
+def test_a_file_that_cannot_be_read_is_there_and_one_of_another_robot_is_told_as_that():
+    programs = driven_job.bow_programs()
+    ((name, text),) = programs.items()
+    proof = prover("bow").prove({name: text[:900]})
+    assert "verify.syntax" in provers.broken(proof) and "verify.files" not in provers.broken(proof)
+    proof = prover("bow").prove({})
+    assert "no file of trajectories moves arm left" in str(proof.issues)
+    rows = driven_job.rows_of(programs)
+    rows[1]["robot"] = "kr6_r700"
+    (issue, *_) = prover("bow").prove(driven_job.sealed(programs, rows), first_error=True).issues
+    assert "arm left is said to be kr6_r700; wanted: irb140" in issue.message
 
 
 def test_joints_are_written_with_nine_decimals():

@@ -20,7 +20,7 @@ from xml.etree import ElementTree as ET
 
 from planner.issues import Issue, Severity
 from planner.verify.context import Context, Outcome, rule, target
-from planner.verify.job import JobText, TaskText, task_names
+from planner.verify.job import TRAJECTORY, JobText, TaskText, speaks_trajectories, task_names
 from planner.verify.programs.program_text import changed, strange
 from planner.verify.programs.steps import DIGEST, Fault, MoveStep
 from planner.verify.rapid.syntax_tree import QUATERNION_TOLERANCE, Literal
@@ -323,18 +323,21 @@ def files(context: Context) -> Outcome:
     are there, as the controller's RobotWare loads them; a file of KRL or URScript has the
     name of its program."""
     issues = [
-        Issue("verify.files", f.message, file=f.file, line=f.line, hint="rename the file as its program is")
+        Issue("verify.files", f.message, file=f.file, line=f.line, hint=_named(f))
         for f in context.job.faults
         if f.kind in _FILES
     ]
+    faulty = any(f.file.endswith(TRAJECTORY) for f in context.job.faults)  # there, but not read
     job = context.job
     names = task_names(context.problem)
     read = {task.name for task in job.tasks}
     used = {arm for operation in context.problem.operations for arm in operation.arms}
     for number, arm in enumerate(context.problem.cell.arms):
         name = names[number] if number < len(names) else f"task {number + 1}"
-        if arm.name in used and name not in read:
+        driven = speaks_trajectories(arm)
+        if arm.name in used and name not in read and not (driven and faulty):
             message = f"arm {arm.name} has no module for task {name}"
+            message = f"no file of trajectories moves arm {arm.name}" if driven else message
             issues.append(Issue("verify.files", message, arm=arm.name, hint="copy all files of the programs"))
     issues += [
         Issue("verify.files", f"{path} belongs to none of the tasks", file=path, hint="take it away")
@@ -354,6 +357,11 @@ def files(context: Context) -> Outcome:
     for path, text in job.lists.items():
         issues += _list(context, path, text)
     return Outcome(tuple(issues))
+
+
+def _named(fault: Fault) -> str:
+    several = fault.file.endswith(TRAJECTORY)
+    return "take all but one away" if several else "rename the file as its program is"
 
 
 def _ending(context: Context, file: str) -> list[Issue]:

@@ -191,7 +191,7 @@ def read(file: str, text: str, most_bytes: int) -> tuple[Program | None, tuple[F
     size = len(text.encode("utf-8", "surrogatepass"))
     if size > most_bytes:
         what = f"{size} bytes; allowed: {most_bytes}; split the job"
-        faults.append(Fault(1, 1, "trajectory.file_size", what, file))
+        return None, (Fault(1, 1, "trajectory.file_size", what, file),)  # rows of one as long take minutes
     lines = text.replace("\r\n", "\n").split("\n")
     if lines[-1] != "":
         faults.append(Fault(len(lines), 1, "trajectory.syntax", "the file ends within a line", file))
