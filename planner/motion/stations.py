@@ -70,6 +70,7 @@ APART_RAD: Final = 10.0 * DEG
 NO_PATH: Final = "bodies or joints leave no path there"
 BASE_GOES: Final = "as the base goes along"
 """Begins what is said of a base that comes too near to bodies where it rides."""
+SUNK: Final = f"goes below {axis_way.FLOOR}"
 MORE_POSES: Final = "state more poses between those that are far apart"
 """A remedy for joints that turn far from one target to the next."""
 WAY_ROOM_M: Final = 1e-3
@@ -387,10 +388,13 @@ def _followed(
     hint = "make the track longer or put it nearer to the work, split the operation, or let the track stand "
     hint += "(take follow out)"
     if found.tried:
-        first = (
-            "narrow range_mm to where the base is clear" if found.fault.startswith(BASE_GOES) else MORE_POSES
-        )
-        hint = f"clear away what is in the way, or {first}; or {hint}"
+        if found.fault.endswith(SUNK):
+            first = "put the base higher, or narrow range_mm to where it stands on or above the floor"
+        elif found.fault.startswith(BASE_GOES):
+            first = "clear away what is in the way, or narrow range_mm to where the base is clear"
+        else:
+            first = f"clear away what is in the way, or {MORE_POSES}"
+        hint = f"{first}; or {hint}"
     raise TandemError(Issue("motion.station", what, arm=axis.name, hint=hint, field=f"operations.{index}"))
 
 
@@ -406,8 +410,10 @@ def _base_fault(
     aside = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
     enough = problem.settings.clearance + WAY_ROOM_M
     way = axis_way.along(model, axis.name, (low, high), _homes(setup), enough, aside)
-    near = f"{BASE_GOES} {_near(way)}, allowed are {enough / MM:g} mm at least"
-    return "" if way.clear else near
+    if way.clear:
+        return ""
+    said = f"{BASE_GOES} {_near(way)}"
+    return said if said.endswith(SUNK) else f"{said}, allowed are {enough / MM:g} mm at least"
 
 
 def _named(axis: _Axis, row: FloatArray) -> dict[str, float]:
@@ -467,6 +473,8 @@ def _fault(
 
 def _near(way: AxisWay) -> str:
     """Which bodies come too near on a way, and what may be so near where it begins."""
+    if axis_way.FLOOR in way.pair and way.least < 0.0:
+        return f"{way.pair[0]} {SUNK}"
     said = f"{' and '.join(way.pair)} come as near as {max(way.least, 0.0) / MM:.1f} mm"
     if len(way.looked) == 1 and any(name.endswith("/base_link") for name in way.pair):
         said += ", where it begins; a base may touch what it stands on, where each shape of that ends below "

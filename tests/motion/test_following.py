@@ -114,16 +114,25 @@ def test_far_poses_are_told_to_want_more_between(tmp_path: Path) -> None:
     assert issue.hint is not None and "state more poses between" in issue.hint
 
 
-def test_the_floor_is_not_lower_for_a_track_that_falls(tmp_path: Path) -> None:
-    """The block stands where it stood before, so a plan that check has nothing against is proven."""
-    falls = {**following_job.FOLLOWING, "axis": [0, 1, 0.05]}
-    problem = following_job.problem(tmp_path, falls, count=5, sway=0.0)
+FALLS = {**following_job.FOLLOWING, "axis": [0, 1, 0.05]}
+
+
+def test_a_track_may_fall_as_long_as_the_base_stays_above_the_floor(tmp_path: Path) -> None:
+    """A base that falls from 100 to 25 mm above it is proven."""
+    problem = following_job.problem(tmp_path, FALLS, count=5, sway=0.0, base={"xyz_mm": [0, 0, 100]})
     assert not planner.check(problem)
     out = planner.plan(problem)
     low = min(
         float(problem.stationed(out.problem.stations).setup_of(k).cell.arms[0].base[2, 3]) for k in (0, 1)
     )
-    assert low < -0.05 and out.verified, [str(issue) for issue in out.issues]
+    assert 0.0 < low < 0.05 and out.verified, [str(issue) for issue in out.issues]
+
+
+def test_the_floor_is_not_lower_for_a_track_that_falls(tmp_path: Path) -> None:
+    found = planner.check(following_job.problem(tmp_path, FALLS, count=5, sway=0.0))
+    (issue,) = [i for i in found if i.code == "motion.station"]
+    assert "on the way there left/base_link goes below the floor" in issue.message
+    assert issue.hint is not None and issue.hint.startswith("put the base higher")
 
 
 def test_tools_that_may_slide_along_the_track_are_refused(tmp_path: Path) -> None:
