@@ -314,28 +314,26 @@ def carrying_faults(problem: Problem) -> list[Issue]:
 
 
 def following_faults(problem: Problem) -> list[Issue]:
-    """What cannot be worked at while the track of an arm goes along (``problem.track``)."""
+    """What cannot be worked at while the tracks of arms go along (``problem.track``)."""
     out: list[Issue] = []
-    number = next((k for k, arm in enumerate(problem.cell.arms) if arm.follows), None)
-    if number is None:
-        return out
-    arm, field = problem.cell.arms[number], f"cell.arms.{number}.track.follow"
-
-    def told(what: str, field: str = field) -> None:
-        out.append(Issue("problem.track", what, field=field, arm=arm.name))
-
-    if len(problem.cell.arms) > 1:
-        told(
-            f"the track of arm {arm.name} goes along while it works, which is written for one arm alone; the "
-            f"cell has {len(problem.cell.arms)}; take follow out, so that it stands then, or the other arm"
-        )
-    if any(setup.stock.held_by == arm.name for setup in problem.setups):
-        told(f"arm {arm.name} holds the block, and its track cannot go along then; take follow out")
-    for index, operation in enumerate(problem.operations):
-        if not any_base(operation):
-            told(
-                f"operation {operation.name}: {operation.process} is worked at standing; milling and targets "
-                "take a track that goes along; take follow out of the track for the others",
-                f"operations.{index}",
+    riders = {
+        arm.name: f"cell.arms.{k}.track.follow" for k, arm in enumerate(problem.cell.arms) if arm.follows
+    }
+    for name, field in riders.items():
+        if any(setup.stock.held_by == name for setup in problem.setups):
+            what = f"arm {name} holds the block, and its track cannot go along then; take follow out"
+            out.append(Issue("problem.track", what, field=field, arm=name))
+    for index, operation in enumerate(problem.operations if riders else ()):
+        own = [name for name in operation.arms if name in riders]
+        if own and not any_base(operation):
+            what = f"operation {operation.name}: {operation.process} is worked at standing; milling and "
+            what += "targets take a track that goes along; take follow out of the track for the others"
+            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
+        elif len(own) > 1:
+            what = (
+                f"operation {operation.name}: the tracks of {' and '.join(own)} go along, and two bases that "
             )
+            what += "go at once are not held apart yet; take follow out of one of them, or give each arm an "
+            what += "operation of its own"
+            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
     return out

@@ -133,7 +133,7 @@ def test_a_track_goes_along_by_a_share_of_the_way(tmp_path: Path, share: float) 
     assert any("follow" in message for _, message in told(tmp_path, {**TRACK, "follow": share}))
 
 
-def test_one_arm_alone_goes_along_and_only_in_work_that_takes_it(tmp_path: Path) -> None:
+def test_a_track_goes_along_only_in_work_that_takes_it(tmp_path: Path) -> None:
     made = problem(tmp_path, {**TRACK, "follow": 1})
     assert "and goes along while the arm works" in made.setups[0].steps[-1]
     assert rails.following_faults(made) == []
@@ -141,16 +141,6 @@ def test_one_arm_alone_goes_along_and_only_in_work_that_takes_it(tmp_path: Path)
     (fault,) = rails.following_faults(dataclasses.replace(made, operations=(trimmed, made.operations[0])))
     assert fault.code == "problem.track" and fault.field == "operations.0"
     assert "trim is worked at standing" in fault.message
-    path = tmp_path / "problem.yaml"
-    data = yaml.safe_load(path.read_text())
-    other = {**ARM, "name": "right", "base": {"xyz_mm": [3000, 0, 0]}}
-    del other["track"]
-    data["cell"]["arms"].append(other)
-    path.write_text(yaml.safe_dump(data))
-    with pytest.raises(TandemError) as refused:
-        planner.load(path)
-    (issue,) = refused.value.issues
-    assert issue.code == "problem.track" and "one arm alone" in issue.message
 
 
 # ---- turntables ----
