@@ -524,9 +524,14 @@ def _near(way: AxisWay) -> str:
     if axis_way.FLOOR in way.pair and way.least < 0.0:
         return f"{way.pair[0]} {SUNK}"
     said = f"{' and '.join(way.pair)} come as near as {max(way.least, 0.0) / MM:.1f} mm"
-    if len(way.looked) == 1 and any(name.endswith("/base_link") for name in way.pair):
+    if len(way.looked) > 1:
+        return said
+    if any(name.endswith("/base_link") for name in way.pair):
         said += ", where it begins; a base may touch what it stands on, where each shape of that ends below "
-        said += "its foot"
+        return f"{said}its foot"
+    if set(way.pair) & set(way.looked[0].poses):
+        said += ", where it begins; what bears a body that is carried is less than "
+        said += f"{axis_way.STANDING_GAP_M / MM:g} mm beside it over all of the axis' range"
     return said
 
 
