@@ -265,19 +265,18 @@ def _in_one(axes: Sequence[GantryAxisFile]) -> list[tuple[str, str, str]]:
 
 
 def check_units(arms: Sequence[Arm], controller: Controller) -> None:
-    """Each arm has units of its own under it, and no body rides on two axes. Raises ``TandemError``:
-    ``problem.duplicate_name``, ``problem.field``, and ``problem.track`` for arms that meet by signals."""
-    taken = {name.lower(): f"the robot {name}" for name in controller.units[: len(arms)]}
-    riding: dict[str, str] = {}
+    """On each controller units have names of their own, and no body rides on two axes. Raises
+    ``TandemError``: ``problem.duplicate_name``, ``problem.field``."""
+    robots = {name.lower(): f"the robot {name}" for name in controller.units[: len(arms)]}
+    taken, riding = dict(robots), dict[str, str]()
     for number, arm in enumerate(arms):
         kind = "track" if arm.track is not None else "gantry"
+        if controller.sync == "handshake":  # each arm has a controller of its own
+            name = controller.units[number]
+            taken = {name.lower(): robots[name.lower()]}
         own: dict[str, str] = {}
         for place, rail in enumerate(arm.axes):
             field = f"arms.{number}.{'track' if arm.track is not None else f'axes.{place}'}"
-            if controller.sync == "handshake":
-                what = f"arm {arm.name} stands on a {kind}; with two controllers (handshake) that is not "
-                what += "written yet; use one controller (sync: multimove), or an arm of its own"
-                raise TandemError(Issue("problem.track", what, field=field, arm=arm.name))
             if rail.unit.lower() in taken:
                 what = f"the unit {rail.unit} is that of {taken[rail.unit.lower()]}, too; give each "
                 what += f"{kind} its own"
@@ -328,6 +327,18 @@ def following_faults(problem: Problem) -> list[Issue]:
         if own and not any_base(operation):
             what = f"operation {operation.name}: {operation.process} is worked at standing; milling and "
             what += "targets take a track that goes along; take follow out of the track for the others"
+            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
+        elif own and len(operation.arms) > 1 and problem.cell.controller.sync == "handshake":
+            what = (
+                f"operation {operation.name}: with two controllers (handshake) one arm may be a step ahead "
+            )
+            what += (
+                f"of the other one, and the proof has bases stand then; {own[0]} goes along with its track; "
+            )
+            what += (
+                "take follow out, so that it stands, use one controller (sync: multimove), or give each arm "
+            )
+            what += "an operation of its own"
             out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
         elif len(own) > 1:
             what = (

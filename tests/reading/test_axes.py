@@ -95,21 +95,22 @@ def test_all_faults_of_a_track_are_told_at_once(tmp_path: Path) -> None:
     assert len(found) == 3
 
 
-@pytest.mark.parametrize(
-    ("controller", "code"), [({}, "problem.duplicate_name"), ({"sync": "handshake"}, "problem.track")]
-)
-def test_two_arms_on_one_unit_and_two_controllers_are_refused(
-    tmp_path: Path, controller: dict[str, Any], code: str
-) -> None:
+def test_arms_on_one_controller_have_units_of_their_own(tmp_path: Path) -> None:
+    """On two controllers each may be called alike, but for its own robot."""
     problem(tmp_path)
     path = tmp_path / "problem.yaml"
     data = yaml.safe_load(path.read_text())
     data["cell"]["arms"].append({**ARM, "name": "right", "base": {"xyz_mm": [3000, 0, 0]}})
-    data["cell"]["controller"] = controller
-    path.write_text(yaml.safe_dump(data))
-    with pytest.raises(TandemError) as refused:
-        planner.load(path)
-    assert {issue.code for issue in refused.value.issues} == {code}
+
+    def load(**controller: Any) -> planner.Problem:
+        path.write_text(yaml.safe_dump({**data, "cell": {**data["cell"], "controller": controller}}))
+        return planner.load(path)
+
+    assert [arm.axes[0].unit for arm in load(sync="handshake").cell.arms] == ["TRACK_1", "TRACK_1"]
+    for controller in ({}, {"sync": "handshake", "units": ["ROB_1", "TRACK_1"]}):
+        with pytest.raises(TandemError) as refused:
+            load(**controller)
+        assert {issue.code for issue in refused.value.issues} == {"problem.duplicate_name"}
 
 
 # ---- tracks that go along ----

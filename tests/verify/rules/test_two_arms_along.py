@@ -7,73 +7,29 @@ import dataclasses
 import functools
 import re
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 import planner
 from planner import processes
-from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.geometry.arrays import to_quaternion
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import clearance, external_axes
 from planner.verify.rules.track_way import track_way
-from tests.following_job import FOLLOWING, POSTURE
-from tests.track_job import ARM, COLUMNS, TRACK
+from tests.following_job import FOLLOWING
+from tests.track_job import TRACK
+from tests.two_arms_job import BOTH, LEFT, RIGHT, problem
 
 FOLDER = tempfile.TemporaryDirectory()
 """Where the files of the planned job lie as long as tests run."""
-ACROSS_MM = 2200.0
-"""The right arm stands so far before the track, and looks at it."""
-BOTH, RIGHT, LEFT = ("left", "right"), ("right",), ("left",)
 MOVE = re.compile(r"(MoveL .*?\],\[)(-?[0-9.]+|9E9)((?:,[^\]]*)?\]\])")
 """A straight move with the value of its first external axis."""
-
-
-def problem(
-    folder: Path,
-    operations: Sequence[tuple[str, Sequence[str], tuple[float, float]]],
-    right: dict[str, Any] | None = None,
-    count: int = 19,
-) -> planner.Problem:
-    """Poses at 200 mm/s: of the left arm along its track, between the places [mm] of an operation, of the
-    right one round about one place."""
-    turn = forward(robot("irb140"), np.array([POSTURE]))[0, :3, :3]
-    turns = {"left": to_quaternion(turn), "right": to_quaternion(np.diag([-1.0, -1.0, 1.0]) @ turn)}
-    listed = []
-    for name, arms, ends in operations:
-        rows = [",".join([COLUMNS[: COLUMNS.index(",feed")].replace("left", arm) for arm in arms])]
-        rows[0] += ",feed_mm_s,segment"
-        for k, y in enumerate(np.linspace(*ends, count)):
-            at = {
-                "left": (500.0 + 15.0 * np.sin(y / 300.0), y, 450.0 + 20.0 * np.cos(y / 200.0)),
-                "right": (ACROSS_MM - 550.0, 60.0 * np.sin(k / 3.0), 650.0 + 30.0 * np.cos(k / 3.0)),
-            }
-            values = [v for arm in arms for v in (*at[arm], *turns[arm])]
-            rows.append(",".join(str(round(float(v), 9)) for v in (*values, 200.0)) + ",move")
-        (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
-        listed.append(
-            {"name": name, "process": "targets", "arms": [*arms], "file": f"{name}.csv", "frame": "world"}
-        )
-    other = {"name": "right", "robot": "irb140", "tool": {"kind": "ball_tool"}, **(right or {})}
-    other["base"] = {"xyz_mm": [ACROSS_MM, 0, 0], "rpy_deg": [0, 0, 180]}
-    data = {
-        "tandem": 1,
-        "name": "two_arms_along",
-        "cell": {"name": "hall", "arms": [{**ARM, "track": FOLLOWING}, other]},
-        "stock": {"size_mm": [100, 100, 50], "place": {"xyz_mm": [0, -4500, 0]}},
-        "operations": listed,
-    }
-    (folder / "problem.yaml").write_text(yaml.safe_dump(data))
-    return planner.load(folder / "problem.yaml")
 
 
 OPERATIONS = [("row", BOTH, (-1800.0, 1800.0)), ("alone", RIGHT, (0.0, 1.0)), ("back", LEFT, (1000.0, 400.0))]
@@ -144,12 +100,6 @@ MUTANTS: dict[str, tuple[str, str, str, Callable[[str], str]]] = {
         "where it is to be at",
         lambda t: _values(t, lambda k, v: -1500.0 if k < 15 else v),
     ),
-    "the other arm's targets have its values": (
-        "2",
-        "move_kinds",
-        "the target moves an external axis",
-        lambda t: _values(t, lambda k, v: 100.0),
-    ),
     "it goes on while the other one works alone": (
         "1",
         "external_axes",
@@ -210,11 +160,8 @@ def test_where_the_other_arm_stands_counts_as_it_goes_along(
 def test_an_arm_beside_it_stands_where_its_own_track_takes_it(tmp_path: Path) -> None:
     """From home it reaches nothing; each is judged by itself."""
     track = {**TRACK, "unit": "TRACK_2", "home_mm": -900, "range_mm": [-1000, 1000]}
-    made = problem(tmp_path, OPERATIONS[:1], right={"track": track}, count=11)
+    made = problem(tmp_path, OPERATIONS[:1], right={"track": track}, count=7)
     assert not planner.check(made)
-    small = problem(tmp_path, OPERATIONS[:1], right={"track": {**track, "range_mm": [-1000, -800]}}, count=11)
-    (issue,) = planner.check(small)
-    assert issue.arm == "right" and "reaches all of it from no value of TRACK_2" in issue.message
 
 
 def test_two_tracks_do_not_go_along_at_once(tmp_path: Path) -> None:
