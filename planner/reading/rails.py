@@ -18,6 +18,10 @@ LEAST_AXIS: Final = 1e-9
 """Directions shorter than this have none."""
 LEAST_TRACK_MM: Final = 50.0
 """Shorter ranges [mm] of linear axes are taken for metres."""
+MOST_TRACK_MM: Final = 100_000.0
+"""Values [mm] of linear axes are no farther from 0."""
+LEAST_RATE: Final = 1.0
+"""Slower axes [mm/s, mm/s^2] are none: their ways would take hours."""
 LEAST_ANGLE: Final = 5.0 * DEG
 """Least angle [rad] between the directions of two axes of a gantry, and of one to the plane of two others."""
 MOST_KRL_LABEL: Final = 27
@@ -188,11 +192,16 @@ def _faults(spec: LinearAxisFile) -> list[tuple[str, str]]:
     elif high - low < LEAST_TRACK_MM:
         what = f"it goes from {low:g} to {high:g} mm, and no track is shorter than {LEAST_TRACK_MM:g} mm; "
         out.append(("range_mm", f"{what}values are mm: 3 m are 3000"))
+    elif max(-low, high) > MOST_TRACK_MM:
+        what = (
+            f"it goes from {low:g} to {high:g} mm; allowed are values up to {MOST_TRACK_MM:g} mm either way; "
+        )
+        out.append(("range_mm", f"{what}let 0 be where the work is, and the range no longer than it takes"))
     elif not low <= spec.home_mm <= high:
         out.append(("home_mm", f"{spec.home_mm:g} is outside the range of {low:g} to {high:g}"))
     for name, value in (("speed_mm_s", spec.speed_mm_s), ("acceleration_mm_s2", spec.acceleration_mm_s2)):
-        if not value > 0.0:
-            out.append((name, f"got {value:g}; allowed: above 0"))
+        if not value >= LEAST_RATE:
+            out.append((name, f"got {value:g}; allowed: {LEAST_RATE:g} at least; values are mm: 1 m is 1000"))
     return out
 
 

@@ -58,7 +58,9 @@ WRONG = [
     ({"axis": [0, 0, 0]}, {}, "its length is 0"),
     ({"range_mm": [3000, -3000]}, {}, "the least value first"),
     ({"range_mm": [100, 100]}, {}, "the least value first"),
-    ({"speed_mm_s": 0}, {}, "speed_mm_s: got 0; allowed: above 0"),
+    ({"speed_mm_s": 0}, {}, "speed_mm_s: got 0; allowed: 1 at least"),
+    ({"speed_mm_s": 1e-9}, {}, "speed_mm_s: got 1e-09; allowed: 1 at least"),  # programs were not proven
+    ({"range_mm": [0, 1e9]}, {}, "allowed are values up to 100000 mm either way"),
     ({"acceleration_mm_s2": -1}, {}, "acceleration_mm_s2: got -1"),
     ({"home_mm": 3001}, {}, "outside the range"),
     ({"range_mm": [-3, 3]}, {}, "values are mm: 3 m are 3000"),

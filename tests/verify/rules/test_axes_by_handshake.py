@@ -18,7 +18,7 @@ from planner.verify.prove import Prover
 from tests import gantry_job
 from tests.track_job import TRACK
 from tests.two_arms_job import BOTH, LEFT, RIGHT, problem
-from tests.verify.rules.test_krl_external_axes import prover_of
+from tests.verify.provers import prover_of
 
 FOLDER = tempfile.TemporaryDirectory()
 """Where the files of the planned job lie as long as tests run."""

@@ -23,7 +23,7 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes, track_way
 from tests import gantry_job
-from tests.verify.rules.test_krl_external_axes import prover_of
+from tests.verify.provers import prover_of
 
 A, B, LEG = "[-500.0000,0.0000,", "[800.0000,200.0000,", "[800.0000,0.0000,"
 """The stations as the text has them, and what lies between the second one and those before and behind it."""

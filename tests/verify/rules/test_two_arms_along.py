@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 import planner
-from planner import processes
 from planner.cell.kinematics import forward
 from planner.issues import TandemError
 from planner.pipeline import Outcome
@@ -25,6 +24,7 @@ from planner.verify.rules.track_way import track_way
 from tests.following_job import FOLLOWING
 from tests.track_job import TRACK
 from tests.two_arms_job import BOTH, LEFT, RIGHT, problem
+from tests.verify.provers import prover_of
 
 FOLDER = tempfile.TemporaryDirectory()
 """Where the files of the planned job lie as long as tests run."""
@@ -43,8 +43,7 @@ def planned() -> Outcome:
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    made = dataclasses.replace(planned().problem, stations={})  # nothing of the plan
-    return Prover(made, processes.claims(made))
+    return prover_of(planned())
 
 
 def test_one_arm_goes_along_beside_one_that_works(prover: Prover) -> None:
