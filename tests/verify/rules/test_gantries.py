@@ -300,6 +300,7 @@ def test_a_post_beside_a_carriage_is_no_bearing(
     assert not over(prover, box(-0.547, 0.0, 0.3, (0.1, 4.0, 0.4)))
 
 
+@pytest.mark.long
 def test_rails_that_are_shorter_than_the_range_are_told(tmp_path: Path) -> None:
     short = {"kind": "box", "size_mm": [300, 2000, 100], "pose": {"xyz_mm": [-700, 0, 50]}}
     bodies = ({"name": "rails", "shapes": [short]}, gantry_job.COLUMN, gantry_job.CONSOLE)
