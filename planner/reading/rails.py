@@ -313,10 +313,8 @@ def carrying_faults(problem: Problem) -> list[Issue]:
             continue
         gap, name = support.bearer(setup.cell, stock, stock.place)
         if name in riders and abs(gap) <= support.FOOT_HEIGHT:
-            what = (
-                f"the block stands on {name}, which {riders[name].label} takes along; put the block on what "
-            )
-            what += "stands, or take the body out of carries"
+            what = f"the block stands on {name}, which {riders[name].label} takes along; put the block on "
+            what += "what stands, or take the body out of carries"
             return [Issue("problem.track", what, field=f"operations.{setup.operations[0]}")]
     return []
 
@@ -333,27 +331,21 @@ def following_faults(problem: Problem) -> list[Issue]:
             out.append(Issue("problem.track", what, field=field, arm=name))
     for index, operation in enumerate(problem.operations if riders else ()):
         own = [name for name in operation.arms if name in riders]
-        if own and not any_base(operation):
-            what = f"operation {operation.name}: {operation.process} is worked at standing; milling and "
-            what += "targets take a track that goes along; take follow out of the track for the others"
-            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
-        elif own and len(operation.arms) > 1 and problem.cell.controller.sync == "handshake":
-            what = (
-                f"operation {operation.name}: with two controllers (handshake) one arm may be a step ahead "
-            )
-            what += (
-                f"of the other one, and the proof has bases stand then; {own[0]} goes along with its track; "
-            )
-            what += (
-                "take follow out, so that it stands, use one controller (sync: multimove), or give each arm "
-            )
-            what += "an operation of its own"
-            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
+        if not own:
+            continue
+        if not any_base(operation):
+            what = f"{operation.process} is worked at standing; milling and targets take a track that goes "
+            what += "along; take follow out of the track for the others"
+        elif len(operation.arms) > 1 and problem.cell.controller.sync == "handshake":
+            what = "with two controllers (handshake) one arm may be a step ahead of the other one, and the "
+            what += f"proof has bases stand then; {own[0]} goes along with its track; take follow out, so "
+            what += "that it stands, use one controller (sync: multimove), or give each arm an operation of "
+            what += "its own"
         elif len(own) > 1:
-            what = (
-                f"operation {operation.name}: the tracks of {' and '.join(own)} go along, and two bases that "
-            )
-            what += "go at once are not held apart yet; take follow out of one of them, or give each arm an "
-            what += "operation of its own"
-            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
+            what = f"the tracks of {' and '.join(own)} go along, and two bases that go at once are not held "
+            what += "apart yet; take follow out of one of them, or give each arm an operation of its own"
+        else:
+            continue
+        what = f"operation {operation.name}: {what}"
+        out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
     return out
