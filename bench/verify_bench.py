@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.verify.context import Context
 from planner.verify.prove import RULE_CODES, Prover
@@ -75,7 +76,7 @@ def run() -> list[dict[str, Any]]:
 
 def _poses() -> dict[str, Any]:
     """The flanges of two arms by the chains of their URDFs; the peer is the planner's own chain."""
-    arms = [arm_model.machine_of(name) for name in ("irb140", "kr210_r2700")]
+    arms = [arm_model.machine_of(robot(name)) for name in ("irb140", "kr210_r2700")]
     rng = np.random.default_rng(4)
     q = [rng.uniform(arm.data.lower, arm.data.upper, (POSES, 6)) for arm in arms]
 

@@ -48,9 +48,11 @@ def _ways(name: str) -> Iterator[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     found = ways._found
 
-    def noted(scene: Scene, goal: Any, order: tuple[str, ...], synchronised: bool) -> Iterator[Any]:
+    def noted(
+        scene: Scene, goal: Any, order: tuple[str, ...], synchronised: bool, former: Ways | None
+    ) -> Iterator[Any]:
         start = time.process_time()
-        steps = list(found(scene, goal, order, synchronised))
+        steps = list(found(scene, goal, order, synchronised, former))
         took = time.process_time() - start
         tree, better = ways._ways(scene, goal, order), steps[-1]
         if isinstance(tree, Ways) and isinstance(better, Ways):
