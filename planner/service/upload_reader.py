@@ -625,7 +625,7 @@ def _replaced(data: dict[str, Any], fields: Mapping[str, Any]) -> Iterator[Issue
     """Set fields by their places; what cannot be set."""
     for field, value in fields.items():
         if not _PLACE.fullmatch(field):  # it may turn or hide what is told of it
-            what = f"fields: got {ascii(field[:40])}; give the place of a field, such as stock.size_mm"
+            what = f"fields: got {field[:40]!a}; give the place of a field, such as stock.size_mm"
             yield Issue("service.request", what, field="fields")
             continue
         try:
