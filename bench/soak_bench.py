@@ -37,6 +37,10 @@ WARM_SHARE = 0.25
 """Share of the time after which processes, pools and caches are taken as warm."""
 KEPT = 60
 """Jobs that are kept: what is older is deleted, as in a workshop that runs for long."""
+MOST_QUEUED = 20
+"""Jobs that wait, from which on nobody sends more: a busy machine plans fewer, and all have to end."""
+LATE = 0
+"""Stands for the status of what had no answer within the client's time, 120 s."""
 CELLS = ("wing", "column_capital", "flank_wall", "shell_piece_held")
 """Bundled problems whose cells and first looks are asked for."""
 Files = list[tuple[str, tuple[str, bytes]]]
@@ -150,7 +154,10 @@ class _Soak:
         given = random.Random(seed)
         with httpx.Client(base_url=self._url, timeout=120.0) as client:
             while not self._over.wait(given.uniform(0.5, 1.5) * pause_s):
-                what(client, given)
+                try:
+                    what(client, given)
+                except httpx.TimeoutException:
+                    self.answers[what.__name__.strip("_"), LATE] += 1
 
     def _ask(self, client: httpx.Client, kind: str, method: str, path: str, **more: Any) -> httpx.Response:
         begin = time.perf_counter()
@@ -169,7 +176,12 @@ class _Soak:
         parts = [("problem", (f"{k}.yaml", text.encode())) for k, text in enumerate(texts)]
         return [*parts, ("files", ("targets.csv", rows))]
 
+    def _full(self, client: httpx.Client) -> bool:
+        return int(self._ask(client, "health", "GET", "/v1/health").json()["queued"]) > MOST_QUEUED
+
     def _submit(self, client: httpx.Client, given: random.Random) -> None:
+        if self._full(client):
+            return
         files = self._upload()
         answer = self._ask(client, "submit", "POST", "/v1/jobs", files=files)
         if answer.status_code == 201:
@@ -179,6 +191,8 @@ class _Soak:
 
     def _many(self, client: httpx.Client, given: random.Random) -> None:
         """A batch, or a sweep, of which one problem cannot be read now and then."""
+        if self._full(client):
+            return
         files, path = self._upload(3), "/v1/batches"
         if given.random() < 0.3:
             files[1] = ("problem", ("1.yaml", b"]"))

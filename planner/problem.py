@@ -152,12 +152,14 @@ class RotaryAxis:
         """The axis' name in texts: its unit's, and which axis of it."""
         return f"{self.unit} {self.word}".strip()
 
-    def turned(self, place: FloatArray, value: float) -> FloatArray:
-        """A pose (4, 4) of value 0, or of any other from which it is turned, turned by a value [rad]."""
-        turn = exp_rotation(value * self.axis)
-        out = np.array(place, dtype=np.float64)
-        out[:3, :3] = turn @ out[:3, :3]
-        out[:3, 3] = self.centre + turn @ (out[:3, 3] - self.centre)
+    def turned(self, place: FloatArray, value: float | FloatArray) -> FloatArray:
+        """Poses (..., 4, 4) of value 0, or of any other from which they are turned, turned by values (...,)
+        [rad]."""
+        turn = exp_rotation(np.asarray(value)[..., None] * self.axis)
+        count = np.broadcast_shapes(turn.shape[:-2], place.shape[:-2])
+        out = np.array(np.broadcast_to(place, (*count, 4, 4)), dtype=np.float64)
+        out[..., :3, :3] = turn @ out[..., :3, :3]
+        out[..., :3, 3] = self.centre + (turn @ (out[..., :3, 3] - self.centre)[..., None])[..., 0]
         return out
 
 
@@ -197,10 +199,14 @@ class Turntable(RotaryAxis):
         return dataclasses.replace(self, centre=seat[:3, 3], axis=seat[:3, :3] @ self.axis)
 
     def placed(
-        self, place: FloatArray, there: Mapping[str, float], here: Mapping[str, float] | None = None
+        self,
+        place: FloatArray,
+        there: Mapping[str, float | FloatArray],
+        here: Mapping[str, float] | None = None,
     ) -> FloatArray:
         """A pose (4, 4), of the values ``here`` by the names of :attr:`axes`, of 0 unless stated, where the
-        values are ``there``: Rot(tilt axis) Rot(turn axis) pose."""
+        values are ``there``, of one each or of as many as poses are wanted: Rot(tilt axis) Rot(turn axis)
+        pose."""
         here = here or {}
         if self.tilt is not None:
             place = self.tilt.turned(place, -here.get(TILT, 0.0))

@@ -75,8 +75,8 @@ class Face:
     and upper x, y [m]) and a ball's width around it is looked at."""
 
     def __init__(self, mesh: TriangleMesh, radius: float, box: FloatArray | None = None) -> None:
-        flat = mesh.vertices[mesh.faces][:, :, :2]
         if box is not None:
+            flat = mesh.vertices[mesh.faces][:, :, :2]
             low, high = box[0] - 2.5 * radius, box[1] + 2.5 * radius
             near = ((flat.max(axis=1) >= low) & (flat.min(axis=1) <= high)).all(axis=1)
             mesh = TriangleMesh(mesh.vertices, mesh.faces[near])

@@ -148,23 +148,25 @@ def _standing(mesh: Mesh, level: float, thickness: float, known: Sequence[Shape]
             own = mesh.vertices[np.unique(faces[label[faces[:, 0]] == piece])]
             both = np.concatenate([own, own + rise])
             beyond = both[np.abs(both[:, 2] - level - 0.5 * thickness) > 0.5 * thickness + STANDS_OUT]
-            if _out_of(beyond, planes) <= STANDS_OUT:
+            if _within(beyond, planes):
                 continue
             hull = outer_hull(both)
             out.append(Shape("mesh", (), np.eye(4), hull.vertices, hull.faces))
     return out
 
 
-def _out_of(points: FloatArray, planes: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """How far [m] the farthest of ``points`` (P, 3) is out of the nearest of solids."""
-    off = np.full(len(points), np.inf)
+def _within(points: FloatArray, planes: Sequence[tuple[FloatArray, FloatArray]]) -> bool:
+    """Whether each of ``points`` (P, 3) is in one of some solids, or out of it by no more than
+    :data:`STANDS_OUT`."""
+    left = points
     for normal, reach in planes:
-        own = np.full(len(points), -np.inf)
+        if not len(left):
+            return True
+        off = np.full(len(left), -np.inf if len(normal) else np.inf)
         for n, r in zip(normal, reach, strict=True):
-            np.maximum(own, points @ n - r, out=own)
-        if len(normal):
-            np.minimum(off, own, out=off)
-    return float(off.max(initial=-np.inf))
+            np.maximum(off, left @ n - r, out=off)
+        left = left[off > STANDS_OUT]
+    return not len(left)
 
 
 def _planes(solid: Shape) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import aslinearoperator, cg
 from scipy.spatial import cKDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, merge, vertex_normals
 
 CRACK_WIDTH: Final = 1e-5
@@ -43,8 +43,7 @@ _SEWING_ROUNDS: Final = 8
 def sewn(mesh: TriangleMesh) -> TriangleMesh:
     """The mesh without faces that are given twice, its cracks closed: vertices and edges of borders that are
     within `CRACK_WIDTH` of each other become one. A mesh without such flaws comes back as it is."""
-    key = np.sort(mesh.faces, axis=1)
-    _, first = np.unique(key, axis=0, return_index=True)
+    _, first, _ = distinct_rows(np.sort(mesh.faces, axis=1))
     if len(first) < len(mesh.faces):
         mesh = TriangleMesh(mesh.vertices, mesh.faces[np.sort(first)])
     for _ in range(_SEWING_ROUNDS):
@@ -61,8 +60,8 @@ def sewn(mesh: TriangleMesh) -> TriangleMesh:
 def border(faces: IntArray) -> IntArray:
     """Edges (E, 2) that belong to one face only, in the direction of that face."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
-    return np.asarray(edges[first[count == 1]])
+    _, first, which = distinct_rows(np.sort(edges, axis=1))
+    return np.asarray(edges[first[np.bincount(which, minlength=len(first)) == 1]])
 
 
 def rims_levelled(mesh: TriangleMesh, level: float, within: float) -> TriangleMesh:

@@ -1,15 +1,16 @@
-"""A first look at reach and clearance: some targets one by one, while somebody edits a problem.
+"""A first look at reach and clearance: some targets each for itself, while somebody edits a problem.
 
 A target is passed where any posture of it keeps margins and clearance. Samples and postures are those of the
-search of a path, coarse ones first; a target that none of them passes is a fault where the search of a path,
-asked for this target alone, finds none either, and is told in its words. What lies between targets, and
-whether one configuration goes through all of them, only a whole check knows.
+search of a path, coarse ones first, the best few of all targets at once; a target that none of them passes is
+a fault where the search of a path, asked for this target alone, finds none either, and is told in its words.
+What lies between targets, and whether one configuration goes through all of them, only a whole check knows.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
+import functools
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -20,7 +21,7 @@ from planner.motion import diagnosis
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import Blocked
 from planner.motion.search.path_search import find_path
-from planner.motion.search.reach import Grid, Reach, reach
+from planner.motion.search.reach import Grid, Rungs, apart
 from planner.motion.search.subsampling import few_samples, subset
 from planner.targets import Targets
 
@@ -47,21 +48,17 @@ class FirstLook:
 
     def faults(self, scene: Scene, targets: Targets, operation: int) -> list[Issue]:
         """What is in the way at the first of these targets that has no posture; nothing where all have."""
-        for number, row in enumerate(self.rows(operation).tolist(), start=1):
-            self.looked[operation] = max(number, self.looked.get(operation, 0))
-            if found := _fault(scene, targets, row):
-                return found
+        rows = self.rows(operation)
+        for number, found in enumerate(_postures(scene, subset(targets, rows))):
+            self.looked[operation] = max(number + 1, self.looked.get(operation, 0))
+            if found is None and isinstance(fault := _searched(scene, targets, int(rows[number])), list):
+                return fault
         return []
 
     def passes(self, scene: Scene, targets: Targets, operation: int) -> bool:
         """Whether all of these targets have a posture."""
-        rows = self.rows(operation).tolist()
-        return all(_passed(scene, subset(targets, np.array([row]))) is not None for row in rows)
-
-
-def _fault(scene: Scene, targets: Targets, row: int) -> list[Issue]:
-    found = posture(scene, targets, row)
-    return found if isinstance(found, list) else []
+        found = _postures(scene, subset(targets, self.rows(operation)))
+        return all(one is not None for one in found)
 
 
 def posture(
@@ -69,12 +66,15 @@ def posture(
 ) -> dict[str, FloatArray] | list[Issue]:
     """Joints {arm: (6,)} [rad] at target ``row`` that keep margins and clearance, or why there are none; if
     not ``thorough``, nothing where coarse samples have none."""
-    one = subset(targets, np.array([row]))
-    coarse = _passed(scene, one)
+    coarse = next(_postures(scene, subset(targets, np.array([row]))))
     if coarse is not None:
         return coarse
-    if not thorough:
-        return []
+    return _searched(scene, targets, row) if thorough else []
+
+
+def _searched(scene: Scene, targets: Targets, row: int) -> dict[str, FloatArray] | list[Issue]:
+    """The same by the search of a path."""
+    one = subset(targets, np.array([row]))
     grid, found = find_path(scene, one)
     if not isinstance(found, Blocked):
         return {arm: q[0] for arm, q in found.q.items()}
@@ -83,36 +83,53 @@ def posture(
     return diagnosis.no_path(scene, targets, grid, found)
 
 
-def _passed(scene: Scene, one: Targets) -> dict[str, FloatArray] | None:
-    """A posture {arm: (6,)} with all margins that is free, among coarse samples of a single target."""
-    values = few_samples(one)
-    grid = Grid(values, np.zeros((0, values.shape[1]), dtype=np.intp))
-    table = reach(scene, one, grid)
-    if not all(found.branches for found in table.values()):
-        return None
-    cost, branches = _costs(table)
-    order = np.argsort(cost, axis=None, kind="stable")
-    order = order[np.isfinite(cost.reshape(-1)[order])]
-    first, many = 0, FIRST_POSTURES
-    while first < len(order):
-        choice, at = np.unravel_index(order[first : first + many], cost.shape)
-        q = {}
-        for arm, of_arm in zip(table, branches.T, strict=True):
-            rungs = table[arm].branches
-            q[arm] = np.stack([rungs[b].q[0, s] for b, s in zip(of_arm[choice].tolist(), at, strict=True)])
-        free = scene.free(one, q, np.zeros(len(at), dtype=np.intp))
-        if free.any():
-            return {arm: own[np.argmax(free)] for arm, own in q.items()}
-        first, many = first + many, 2 * many
-    return None
+def _postures(scene: Scene, few: Targets) -> Iterator[dict[str, FloatArray] | None]:
+    """Of each target in turn a posture {arm: (6,)} with all margins that is free, None where coarse samples
+    have none. The best of all are looked at together before the first is told, the others of a target
+    when its turn comes."""
+    values = few_samples(few)
+    table = apart(scene, few, Grid(values, np.zeros((0, values.shape[1]), dtype=np.intp)))
+    orders = [_order(table, row) for row in range(few.count)]
+    best = [order[:FIRST_POSTURES] for order in orders]
+    index = np.repeat(np.arange(few.count), [len(some) for some in best])
+    q = _joints(table, index, np.concatenate(best))
+    free = scene.free(few, q, index)
+    for row, order in enumerate(orders):
+        mine = np.flatnonzero(free & (index == row))
+        found = {arm: own[mine[0]] for arm, own in q.items()} if len(mine) else None
+        first, many = FIRST_POSTURES, 2 * FIRST_POSTURES
+        while found is None and first < len(order):
+            some = np.full(len(order[first : first + many]), row)
+            more = _joints(table, some, order[first : first + many])
+            good = np.flatnonzero(scene.free(few, more, some))
+            found = {arm: own[good[0]] for arm, own in more.items()} if len(good) else None
+            first, many = first + many, 2 * many
+        yield found
 
 
-def _costs(table: dict[str, Reach]) -> tuple[FloatArray, IndexArray]:
-    """What the samples of a single target cost with each choice of branches (C, S), inf where an arm has no
-    allowed state, and the branch of each arm in each choice (C, arms)."""
-    branches = np.array(list(itertools.product(*(found.branches for found in table.values()))))
-    cost = [
-        sum(table[arm].branches[b].penalty[0].min(axis=-1) for arm, b in zip(table, choice, strict=True))
-        for choice in branches.tolist()
-    ]
-    return np.stack(cost), branches
+def _order(table: dict[str, list[Rungs]], row: int) -> IndexArray:
+    """Numbers (P,) of the allowed states of all arms at target ``row``, in (branch, ..., sample), those with
+    most margin first."""
+    each = [np.stack([one.penalty[row].min(axis=-1) for one in rungs]) for rungs in table.values()]
+    cost = functools.reduce(lambda a, b: a[..., None, :] + b, each).reshape(-1)
+    order = np.argsort(cost, kind="stable")
+    return np.asarray(order[: np.isfinite(cost).sum()])
+
+
+def _joints(table: dict[str, list[Rungs]], index: IndexArray, states: IndexArray) -> dict[str, FloatArray]:
+    """Joints {arm: (P, 6)} of states by their numbers (P,) at targets ``index`` (P,)."""
+    samples = next(iter(table.values()))[0].q.shape[1]
+    shape = (*(len(rungs) for rungs in table.values()), samples)
+    *branches, at = np.unravel_index(states, shape)
+    return {
+        arm: _taken(rungs, branch, index, at)
+        for (arm, rungs), branch in zip(table.items(), branches, strict=True)
+    }
+
+
+def _taken(rungs: Sequence[Rungs], branch: IndexArray, index: IndexArray, at: IndexArray) -> FloatArray:
+    out = np.empty((len(at), rungs[0].q.shape[-1]))
+    for number in np.unique(branch):
+        mine = branch == number
+        out[mine] = rungs[number].q[index[mine], at[mine]]
+    return out

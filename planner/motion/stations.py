@@ -58,7 +58,9 @@ MOST_TURNS, MOST_TILTS = 73, 19
 ANGLE_DECIMALS: Final = 1
 """in degrees with so many decimals."""
 FEW_TARGETS: Final = 24
-"""Targets at which values are judged."""
+"""Targets at which values are judged;"""
+FIRST_FEW: Final = 4
+"""so many of them by a first look, which asks for more where no value that they speak for will do."""
 GOOD_SHARE: Final = 0.6
 """Values with this share of the best margin are good: of them the nearest comes first."""
 MOST_PATHS: Final = 8
@@ -198,8 +200,7 @@ class _Table:
     ) -> tuple[FloatArray, Mapping[str, FloatArray]]:
         """Places of the block (K, 1, 4, 4) for values (K, A), and no bases."""
         place, here = _place(setup), setup.stock.stands
-        rows = [self.track.placed(place, dict(zip(self.names, row, strict=True)), here) for row in grid]
-        return np.stack(rows)[:, None], {}
+        return self.track.placed(place, dict(zip(self.names, grid.T, strict=True)), here)[:, None], {}
 
     def way(
         self, setup: Setup, here: Mapping[str, float], there: Mapping[str, float], enough: float
@@ -348,23 +349,25 @@ def _station(
 ) -> _Stood:
     setup = problem.setup_of(index)
     grid = axis.values()
-    count = FEW_TARGETS // len(axis.names)  # a positioner has many more values
-    few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), count, False)
-    score = margin(few, *axis.placed(problem, setup, grid), problem.settings, _judged(targets, rest))
+    placed = axis.placed(problem, setup, grid)
     before = np.array([at[name] for name in axis.names])
-    tried: list[FloatArray] = []
-    first: str | Issue = ""
-    for k in _order(grid, score, before, axis.apart):
-        if len(tried) >= MOST_PATHS * len(axis.names):
-            break
-        near = any(np.abs(grid[k] - other).max() < axis.apart for other in tried)
-        if near and (grid[k] != before).any():
-            continue
-        tried.append(grid[k])
-        found = _try(problem, index, targets, axis, rest, at, _named(axis, grid[k]), passes)
-        if isinstance(found, _Stood):
-            return found
-        first = first or found  # of the value that was thought best
+    most = FEW_TARGETS // len(axis.names)  # a positioner has many more values
+    for count in (most,) if passes is None else (FIRST_FEW, most):
+        few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), count, False)
+        score = margin(few, *placed, problem.settings, _judged(targets, rest))
+        tried: list[FloatArray] = []
+        first: str | Issue = ""
+        for k in _order(grid, score, before, axis.apart):
+            if len(tried) >= MOST_PATHS * len(axis.names):
+                break
+            near = any(np.abs(grid[k] - other).max() < axis.apart for other in tried)
+            if near and (grid[k] != before).any():
+                continue
+            tried.append(grid[k])
+            found = _try(problem, index, targets, axis, rest, at, _named(axis, grid[k]), passes)
+            if isinstance(found, _Stood):
+                return found
+            first = first or found  # of the value that was thought best
     if isinstance(first, Issue):
         raise TandemError(first)
     if first == NO_PATH:

@@ -435,11 +435,15 @@ def _require_flat_rim(mesh: TriangleMesh, rim: IntArray, flat: float, path: Path
 
 def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:
     formed = mesh.vertices[np.abs(mesh.vertices[:, 2]) > RIM_FLATNESS][:, :2]
-    opening = shapely.Polygon(sheet.opening)
-    out = shapely.distance(opening, shapely.points(formed)) if len(formed) else np.zeros(1)
     if not len(formed):
         what = f"{path}: the mesh is flat; nothing is to be formed"
         raise TandemError(Issue("forming.flat", what, file=str(path), hint="check its unit and its frame"))
+    opening = shapely.Polygon(sheet.opening)
+    shapely.prepare(opening)
+    formed = formed[~shapely.contains_xy(opening, formed)]
+    if not len(formed):
+        return
+    out = shapely.distance(opening, shapely.points(formed))
     if out.max() > 1e-6:
         where = formed[int(np.argmax(out))] / MM
         what = (
@@ -470,10 +474,10 @@ def _solids(mesh: Mesh, thickness: float) -> list[Shape]:
     out = []
     rise = np.array([0.0, 0.0, thickness])
     for side in (-1.0, 1.0):
-        own = mesh.vertices[side * mesh.vertices[:, 2] > RIM_FLATNESS]
-        if len(own) < 3:
+        off = side * mesh.vertices[:, 2] > RIM_FLATNESS
+        if off.sum() < 3:
             continue
-        used = np.isin(mesh.faces, np.flatnonzero(side * mesh.vertices[:, 2] > RIM_FLATNESS)).any(axis=1)
+        used = off[mesh.faces].any(axis=1)
         points = mesh.vertices[np.unique(mesh.faces[used])]
         both = np.concatenate([points, points + rise])
         hull = outer_hull(both)

@@ -28,7 +28,7 @@ import httpx
 from authlib.common.errors import AuthlibBaseError
 from authlib.integrations.httpx_client import OAuth2Client
 from joserfc import jwt
-from joserfc.errors import InvalidKeyIdError, JoseError
+from joserfc.errors import ExpiredTokenError, InvalidKeyIdError, InvalidTokenError, JoseError
 from joserfc.jwk import KeySet
 
 from planner.issues import Issue, TandemError
@@ -52,8 +52,12 @@ AT_ONCE: Final = 3
 """Log-ins that ask the provider at once: one that hangs takes no more of the service's threads."""
 LEEWAY_S: Final = 60
 """What clocks of provider and service may differ by [s]."""
+LONGEST_TOKEN: Final = 120_000
+"""Characters of an ID token at most."""
 ANY: Final = "*"
 """Stands for every account of the provider that has none of the other values."""
+TIMES: Final = ("iat", "nbf", "exp")
+"""Claims that are times."""
 NAMES: Final = ("email", "preferred_username", "sub")
 """Claims by which an account may be called, the first one that is there; of addresses those that the provider
 has verified: others may be anybody's."""
@@ -259,6 +263,10 @@ class LogIn:
     def _claims(self, token: str, about: Mapping[str, Any], keys: KeySet, nonce: str) -> dict[str, Any]:
         """Those of an ID token that the provider has signed for this log-in (Core 1.0, section 3.1.3.7).
         Raises :class:`RefusedError`, 403, and ``InvalidKeyIdError`` for a key that is not known."""
+        if len(token) > LONGEST_TOKEN:
+            what = f"the provider's ID token has {len(token):,} characters, allowed are {LONGEST_TOKEN:,}; "
+            what += f"most of it what {self.oidc.claim!r} lists; let the provider send for this service "
+            raise refused(f"{what}those groups alone that have a role here, by a filter of that claim")
         try:
             found = dict(jwt.decode(token, keys, algorithms=list(ALGORITHMS)).claims)
             jwt.JWTClaimsRegistry(
@@ -272,10 +280,18 @@ class LogIn:
             ).validate(found)
         except InvalidKeyIdError:
             raise
+        except (ExpiredTokenError, InvalidTokenError) as error:  # by a clock that is wrong, as a rule
+            stamps = ", ".join(
+                f"{name} {found[name]!s:.40}" for name in ("iat", "nbf", "exp") if name in found
+            )
+            what = f"the provider's ID token is not of now ({stamps} s since 1970; this machine's clock says "
+            raise refused(f"{what}{time.time():.0f}): set both clocks, and log in again") from error
         except (JoseError, ValueError, TypeError, KeyError) as error:
             raise refused(
                 f"the provider's ID token is not good ({type(error).__name__}); log in again"
             ) from error
+        if not str(found["sub"]).isprintable():
+            raise refused("the provider's ID token names an account by what is no text; ask who runs it")
         if isinstance(found["aud"], list) and len(found["aud"]) > 1 and found.get("azp") != self.oidc.client:
             raise refused("the provider's ID token is for another service; log in again")
         return found
@@ -341,12 +357,17 @@ def inside(path: str) -> str:
 
 def called(claims: Mapping[str, Any]) -> str:
     """What an account is called."""
-    known = {name: str(claims[name])[:200] for name in NAMES if claims.get(name)}
+    known = {name: _plain(claims[name]) for name in NAMES if claims.get(name)}
     if claims.get("email_verified") is not True:
         known.pop("email", None)
     if "@" in known.get("preferred_username", ""):  # an address that nobody has verified
         known.pop("preferred_username")
     return next(iter(known.values()))
+
+
+def _plain(name: Any) -> str:
+    """A name that a message can hold: no halves of letters, and none that turn the text behind them."""
+    return "".join(letter if letter.isprintable() else "?" for letter in str(name)[:200])
 
 
 def refused(why: str) -> RefusedError:

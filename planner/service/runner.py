@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from sqlalchemy import ColumnElement, Connection, Select, and_, case, delete, func, select, update
+from sqlalchemy import ColumnElement, Connection, Select, and_, case, delete, func, or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from planner.batch.job import LIKE, Done, Event, Finished, Found, Job, Progress
@@ -41,6 +41,8 @@ from planner.service.schema import NewerError
 from planner.service.security import MB, issue_json
 from planner.service.storage import Blob, Files
 
+LONGEST_LEASE_S: Final = 86400.0
+"""No host's jobs are its own for longer [s] without a word of it."""
 MOST_ATTEMPTS: Final = 3
 """So often a job may be at hand when a host goes down; then it is taken to be the cause."""
 
@@ -148,7 +150,9 @@ class Work:
         """Queue the jobs of hosts that are gone; ``alone``: no other host can be at work. Their number."""
         gone = and_(JOBS.c.state == "running", JOBS.c.host != self._host)
         if not alone:
-            gone = and_(gone, JOBS.c.lease < self._database.clock())
+            now, most = self._database.clock(), max(self._lease_s, LONGEST_LEASE_S)
+            # a lease that ends later than any was given by a clock that has been set back since
+            gone = and_(gone, or_(JOBS.c.lease < now, JOBS.c.lease > now + most))
         with self._database.write() as db:
             rows = db.execute(select(JOBS).where(gone).with_for_update(skip_locked=True)).mappings().all()
             for row in rows:

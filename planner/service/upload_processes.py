@@ -394,6 +394,7 @@ def _drain(pipe: int) -> None:
 
 
 def _get_ready(*_: object) -> None:
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # again in their midst they would begin within themselves
     from planner import pipeline
 
     pipeline.ready()

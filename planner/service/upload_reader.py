@@ -617,9 +617,17 @@ def examine_element(
     )
 
 
+_PLACE: Final = re.compile(r"[A-Za-z0-9_.-]{1,200}")
+"""The place of a field in a problem or an element."""
+
+
 def _replaced(data: dict[str, Any], fields: Mapping[str, Any]) -> Iterator[Issue]:
     """Set fields by their places; what cannot be set."""
     for field, value in fields.items():
+        if not _PLACE.fullmatch(field):  # it may turn or hide what is told of it
+            what = f"fields: got {field[:40]!a}; give the place of a field, such as stock.size_mm"
+            yield Issue("service.request", what, field="fields")
+            continue
         try:
             strict_yaml.changed_field(data, field, value, Path("/"))
         except ValueError as error:

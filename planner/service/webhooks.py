@@ -261,19 +261,17 @@ def post(due: Due, hosts: Collection[str]) -> tuple[int | None, str]:
             "webhook-timestamp": str(seconds),
             "webhook-signature": signature(due.secret, due.id, seconds, due.body),
         }
-        link: http.client.HTTPConnection
-        if parts.scheme == "https":
-            context = ssl.create_default_context()
-            link = http.client.HTTPSConnection(parts.netloc, timeout=ANSWER_S, context=context)
-        else:
-            link = http.client.HTTPConnection(parts.netloc, timeout=ANSWER_S)
+        until = time.monotonic() + ANSWER_S
+        link = http.client.HTTPConnection(parts.netloc, timeout=ANSWER_S)
+        link.sock = _reached(parts, until)
         over = threading.Event()
-        ending = threading.Timer(
-            ANSWER_S, _cut, (link, over)
-        )  # the connection's own limit is one for each piece
+        # a socket's own limit is one for each piece
+        ending = threading.Timer(max(until - time.monotonic(), 0.0), _cut, (link, over))
         ending.daemon = True
         ending.start()
         try:
+            if isinstance(link.sock, ssl.SSLSocket):
+                link.sock.do_handshake()
             way = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
             link.request("POST", way, due.body.encode(), headers)
             status = link.getresponse().status
@@ -288,6 +286,30 @@ def post(due: Due, hosts: Collection[str]) -> tuple[int | None, str]:
     except (OSError, ValueError, http.client.HTTPException) as error:
         LOG.info("webhook %s: no answer: %s", due.webhook, type(error).__name__)
         return None, "no answer"
+
+
+def _reached(parts: SplitResult, until: float) -> socket.socket:
+    """A connection to an address, by the first of its host's that answers before ``until`` [s] by the
+    monotonic clock; with TLS, whose handshake is still to be made, where it asks for that. Raises
+    ``OSError``."""
+    host, port = parts.hostname or "", parts.port or USUAL_PORTS[parts.scheme]
+    last: OSError = TimeoutError("no address answered in time")
+    for family, kind, proto, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        if (left := until - time.monotonic()) <= 0.0:
+            break
+        link = socket.socket(family, kind, proto)
+        try:
+            link.settimeout(left)
+            link.connect(address)
+        except OSError as error:
+            link.close()
+            last = error
+            continue
+        if parts.scheme != "https":
+            return link
+        context = ssl.create_default_context()
+        return context.wrap_socket(link, server_hostname=host, do_handshake_on_connect=False)
+    raise last
 
 
 def _cut(link: http.client.HTTPConnection, over: threading.Event) -> None:

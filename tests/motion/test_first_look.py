@@ -16,6 +16,7 @@ from planner import pipeline, processes
 from planner.geometry.arrays import Mesh
 from planner.geometry.remembered import keeping
 from planner.issues import has_errors
+from planner.motion import first_look
 from planner.motion.first_look import FirstLook
 from planner.problem import Problem
 from planner.reading import strict_yaml
@@ -89,6 +90,21 @@ def test_what_stands_in_the_way_is_found(tmp_path: Path) -> None:
     assert "post" in fault.bodies
     whole = [i for i in pipeline.check(small(tmp_path, text), advise=False) if i.code == "motion.collision"]
     assert whole and set(whole[0].bodies) == set(fault.bodies)
+
+
+@pytest.mark.parametrize("beside_mm", [60, 95])
+def test_it_is_all_one_how_many_postures_are_looked_at_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, beside_mm: int
+) -> None:
+    """A post that closes some targets, or leaves them other postures than the best."""
+    text = small_problem.PROBLEM.replace("\nstock:", POST.replace("460, 60", f"460, {beside_mm}") + "stock:")
+    problem = small(tmp_path, text)
+    found = []
+    for together in (1, 8, 100_000):
+        monkeypatch.setattr(first_look, "FIRST_POSTURES", together)
+        found.append(pipeline.looked_over(problem, 6))
+    assert found[0] == found[1] == found[2]
+    assert found[0].of == 6
 
 
 def test_a_place_that_is_searched_is_found_or_left_to_the_whole_check(tmp_path: Path) -> None:

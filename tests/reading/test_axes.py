@@ -13,7 +13,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import planner
+from planner.geometry.arrays import exp_rotation, from_parts
 from planner.issues import TandemError
+from planner.problem import RotaryAxis
 from planner.reading import axes, rails
 from tests import positioner_job, table_job
 from tests.track_job import ARM, TRACK, problem
@@ -360,3 +362,12 @@ class _Weighed:
 
     def leaves(self, stock: Any) -> Any:
         return stock
+
+
+def test_values_at_once_turn_a_pose_as_one_by_one() -> None:
+    given = np.random.default_rng(3)
+    axis = given.normal(size=3)
+    turn = RotaryAxis("table", "TABLE", 0, given.normal(size=3), axis / np.linalg.norm(axis), -3, 3, 1, 0)
+    place = from_parts(exp_rotation(given.normal(size=3)), given.normal(size=3))
+    values = given.uniform(-3.0, 3.0, 20)
+    np.testing.assert_array_equal(turn.turned(place, values), [turn.turned(place, v) for v in values])

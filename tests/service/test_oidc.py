@@ -26,7 +26,7 @@ import pytest
 
 pytest.importorskip("authlib")
 
-from joserfc import jwt
+from joserfc import jws
 from joserfc.jwk import ECKey, KeySet, RSAKey
 
 from planner.issues import TandemError
@@ -96,8 +96,9 @@ class Forger:
         self._server.server_close()
 
 
-def signed(claims: dict[str, Any], key: Any = KEY, alg: str = "RS256") -> str:
-    return jwt.encode({"alg": alg, "kid": "one"}, claims, key, algorithms=[alg])
+def signed(claims: dict[str, Any], key: Any = KEY, alg: str = "RS256", kid: str = "one") -> str:
+    text = json.dumps(claims)  # with halves of letters, which jwt.encode does not take
+    return jws.serialize_compact({"alg": alg, "kid": kid}, text, key, algorithms=[alg])
 
 
 @pytest.fixture
@@ -182,6 +183,20 @@ def test_an_id_token_that_is_not_for_this_is_refused(log_in: LogIn, forger: Forg
     with pytest.raises(RefusedError) as error:
         log_in.end(address, REDIRECT, cookie)
     assert (error.value.status, error.value.issues[0].code) == (403, "service.log_in")
+
+
+@pytest.mark.parametrize("jump", [7200.0, -7200.0])
+def test_a_clock_that_is_wrong_is_told_as_that(
+    log_in: LogIn, forger: Forger, monkeypatch: pytest.MonkeyPatch, jump: float
+) -> None:
+    address, cookie = went(log_in, forger)
+    now = time.time
+    monkeypatch.setattr(oidc, "ASKED_S", 1e9)
+    address, cookie = went(log_in, forger)
+    monkeypatch.setattr(time, "time", lambda: now() + jump)
+    with pytest.raises(RefusedError, match=r"is not of now \(iat \d+.*set both clocks") as error:
+        log_in.end(address, REDIRECT, cookie)
+    assert error.value.status == 403
 
 
 def forged(claims: dict[str, Any], alg: str, secret: bytes = b"") -> str:
@@ -395,6 +410,42 @@ def test_odd_groups_give_nothing(log_in: LogIn, forger: Forger, name: str) -> No
     assert log_in._auth.list() == ()
 
 
+@pytest.mark.parametrize("count", [20_000, 200_000])
+def test_too_many_groups_are_told_with_what_to_do(log_in: LogIn, forger: Forger, count: int) -> None:
+    """A directory's whole list: the library that reads tokens takes none that is so long."""
+    address, cookie = went(log_in, forger)
+    forger.claims["groups"] = [f"group {number:05}" for number in range(count)]
+    with pytest.raises(RefusedError, match=r"has [\d,]+ characters, allowed are 120,000.*a filter") as error:
+        log_in.end(address, REDIRECT, cookie)
+    assert (error.value.status, error.value.issues[0].code) == (403, "service.log_in")
+
+
+def test_some_thousand_groups_are_read(log_in: LogIn, forger: Forger) -> None:
+    address, cookie = went(log_in, forger)
+    forger.claims["groups"] = [*(f"group {number:05}" for number in range(4000)), "release"]
+    assert log_in.end(address, REDIRECT, cookie)[0].role == "release"
+
+
+@pytest.mark.parametrize("sub", ["\ud800", "a\0b", "\u202e7", "7\u2028"])
+def test_an_account_that_is_no_text_is_refused(log_in: LogIn, forger: Forger, sub: str) -> None:
+    """Half a letter, as JSON may have it, was an internal error."""
+    address, cookie = went(log_in, forger)
+    forger.claims["sub"] = sub
+    with pytest.raises(RefusedError, match="by what is no text") as error:
+        log_in.end(address, REDIRECT, cookie)
+    assert error.value.status == 403
+
+
+@pytest.mark.parametrize("name", ["\ud800@shop.example", "\u202enna", "a\nb", "<b>" + "x" * 10_000])
+def test_a_name_without_a_role_is_told_as_text(log_in: LogIn, forger: Forger, name: str) -> None:
+    address, cookie = went(log_in, forger)
+    forger.claims |= {"email": name, "groups": []}
+    with pytest.raises(RefusedError, match="has no role here") as error:
+        log_in.end(address, REDIRECT, cookie)
+    (issue,) = error.value.issues
+    assert issue.message.isprintable() and len(issue.message.encode()) < 1000
+
+
 def test_names_of_accounts_are_plain_whatever_the_provider_tells(log_in: LogIn, forger: Forger) -> None:
     address, cookie = went(log_in, forger)
     forger.claims |= {"email": "<script>alert(1)</script>\u202eann" + "x" * 10_000}
@@ -578,7 +629,7 @@ def test_keys_that_were_changed_are_asked_for(
     new = RSAKey.generate_key(2048, {"kid": "two"})
     address, cookie = went(log_in, forger)
     monkeypatch.setattr(f"{__name__}.KEY", new)
-    forger.token = lambda claims: jwt.encode({"alg": "RS256", "kid": "two"}, claims, new)
+    forger.token = lambda claims: signed(claims, new, kid="two")
     assert log_in.end(address, REDIRECT, cookie)[0].role == "plan"
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import schemathesis
+import yaml
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 from schemathesis.checks import not_a_server_error
@@ -19,6 +20,7 @@ from schemathesis.specs.openapi.checks import (
 
 from planner import Client, load
 from tests import small_problem
+from tests.element.shells import cap, shell
 from tests.service.support import Process
 
 CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
@@ -33,15 +35,15 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Process]:
     assert "Traceback" not in process.log.read_text()
 
 
-def ask(operation: Any, known: str, examples: int) -> None:
-    """Send what the document allows and what it forbids; half of it about a job that exists."""
+def ask(operation: Any, known: dict[str, Any], examples: int) -> None:
+    """Send what the document allows and what it forbids; half of it about what exists."""
 
     @seed(31)
     @settings(max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck))
     @given(operation.as_strategy(), st.booleans())
     def one(case: schemathesis.Case, is_known: bool) -> None:
-        if is_known and "job" in case.path_parameters:
-            case.path_parameters["job"] = known
+        if is_known:
+            case.path_parameters |= {name: one for name, one in known.items() if name in case.path_parameters}
         case.validate_response(case.call(timeout=60), checks=CHECKS)
 
     one()
@@ -52,8 +54,20 @@ def fuzz(served: Process, folder: Path, examples: int) -> None:
     client, problem = Client(served.url), load(small_problem.write(folder))
     operations = [found.ok() for found in schema.get_all_operations()]
     assert len(operations) >= 18
+    element = shell(folder, cap(n=5), {"count": 6, "off_surface_mm": 60})
+    template = yaml.safe_load((folder / "held.yaml").read_text())
+    cell = Path(template["cell"])
+    files = {"shell.obj": (folder / "shell.obj").read_bytes(), cell.name: cell.read_bytes()}
+    files["held.yaml"] = yaml.safe_dump({**template, "cell": cell.name}).encode()
     for operation in operations:
-        ask(operation, client.submit(problem), examples)
+        known: dict[str, Any] = {}
+        if "{job}" in operation.path:
+            known["job"] = client.submit(problem)
+        if "{draft}" in operation.path:
+            known |= {"draft": client.keep_draft(problem, "\u06a9\u0645\u0627\u0646")["id"], "number": 1}
+        if "{element}" in operation.path:
+            known["element"] = client.divide(element, files)
+        ask(operation, known, examples)
 
 
 def test_no_request_of_the_document_is_a_500(served: Process, tmp_path: Path) -> None:

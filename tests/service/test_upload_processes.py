@@ -311,6 +311,22 @@ def test_who_reads_may_be_ended_between_two_readings(
         assert readers.examine(paths[name], uploads).name == name
 
 
+def test_drake_is_asked_for_again_and_again_while_it_is_loaded(
+    three: tuple[Examiners, dict[str, Path], dict[str, Path]],
+) -> None:
+    """By readings with reach that are broken off, one by one: imports within imports failed, and with
+    them the process, and what it read."""
+    readers, paths, uploads = three
+    assert readers.examine(paths["first"], uploads).name == "first"
+    (reader,) = readers._all
+    for _ in range(60):
+        reader._process.send_signal(signal.SIGUSR1)
+        time.sleep(0.02)
+    found = readers.examine(paths["second"], uploads, True)
+    assert found.name == "second" and found.looked_at is not None
+    assert reader.alive and readers._all == {reader}  # it is the same one
+
+
 @pytest.mark.parametrize("begun", [False, True])
 def test_a_reader_that_crashes_in_the_moment_it_is_broken_off(
     three: tuple[Examiners, dict[str, Path], dict[str, Path]], monkeypatch: pytest.MonkeyPatch, begun: bool

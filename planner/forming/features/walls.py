@@ -206,8 +206,9 @@ class _Builder:
         ).tolist()
         self.after: list[int] = inner[grouped].tolist()
         reach = np.maximum(tree.high[inner] - height[above], height[above] - tree.low[inner]) >= noise
-        self.matters = np.zeros(len(height), dtype=bool)
-        self.matters[inner] = reach
+        matters = np.zeros(len(height), dtype=bool)
+        matters[inner] = reach
+        self.matters: list[bool] = matters.tolist()
         forks = np.bincount(above[reach], minlength=len(height)) > 1
         self._drop_small(np.nonzero(forks)[0].tolist())
         self.element = np.full(len(height), -1, dtype=np.int64)
@@ -267,12 +268,15 @@ class _Builder:
 
     def _wall(self, vertex: int, child: int) -> tuple[list[int], bool]:
         """From one fork on to the next one, or to the end."""
-        rises = self.rank[child] > self.rank[vertex]
-        path = [child]
-        while len(onward := self.onward(path[-1])) == 1 and (
-            (self.rank[onward[0]] > self.rank[path[-1]]) == rises
-        ):
-            path.append(onward[0])
+        begin, after, matters, rank = self.begin, self.after, self.matters, self.rank
+        rises = rank[child] > rank[vertex]
+        path, here = [child], child
+        while True:
+            onward = [one for one in after[begin[here] : begin[here + 1]] if matters[one]]
+            if len(onward) != 1 or (rank[onward[0]] > rank[here]) != rises:
+                break
+            here = onward[0]
+            path.append(here)
         if onward:
             return path, False
         return self._to_the_tip(path, 1.0 if rises else -1.0), True
@@ -469,11 +473,11 @@ def _pieces(
         start + sign * (FLAT_CLEARANCE * off + EXACT_HEIGHT),
         end - sign * (FLAT_CLEARANCE * finish.off + EXACT_HEIGHT),
     )
-    corners = height[surface.faces]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    reached = np.abs(corners - start).max(axis=1) > 0.0
+    one, two, three = height[surface.faces].T
+    low, high = np.minimum(np.minimum(one, two), three), np.maximum(np.maximum(one, two), three)
+    reached = (low != start) | (high != start)
     counts = (high > low) | mine[surface.faces].all(axis=1)
-    counts &= reached & (np.abs(corners - end).max(axis=1) > 0.0)
+    counts &= reached & ((low != end) | (high != end))
     pauses = find_terraces(
         low[counts], high[counts], area[counts], float(area[reached].sum()), start, end, noise
     )

@@ -34,8 +34,10 @@ FACE_SPACING: Final = 1e-3
 """Distance [m] of points on the face and of places on a tool's way."""
 REACHED_WITHIN: Final = 1.5e-4
 """What the forming ball comes so near [m] to is formed by it, but for what is left."""
-_MOST_POINTS: Final = 100_000
-"""Pieces at most into which a face is divided for its points."""
+MOST_POINTS: Final = 100_000
+"""Pieces at most into which a face is divided for its points,"""
+FIRST_POINTS: Final = 10_000
+"""so many of them for a first look, which is of few targets, some degrees of the support's turn apart."""
 _TILT_HALVINGS: Final = 9
 """Halvings by which the largest tilt of a support is found that clears the sheet."""
 _PLACES_AT_ONCE: Final = 4000
@@ -54,10 +56,12 @@ RADIUS_STEP: Final = 1e-5
 class FarFace:
     """Points of the sheet's far face of a pass formed from above: those over which the forming ball of
     ``radius`` [m] comes on its way, and the flat around. Corners too narrow for it are not formed, so what is
-    behind them in the wanted part is not there. ``thickness`` [m] of the sheet."""
+    behind them in the wanted part is not there. ``thickness`` [m] of the sheet; ``most``: pieces of it."""
 
-    def __init__(self, one: Pass, thickness: float, contact: ContactPath, radius: float) -> None:
-        pieces, _ = small_pieces(one.vertices[one.faces], FACE_SPACING, _MOST_POINTS)
+    def __init__(
+        self, one: Pass, thickness: float, contact: ContactPath, radius: float, most: int = MOST_POINTS
+    ) -> None:
+        pieces, _ = small_pieces(one.vertices[one.faces], FACE_SPACING, most)
         near = np.concatenate([pieces.mean(axis=1), one.vertices])
         apart = cKDTree(_along(contact)).query(near, distance_upper_bound=radius + REACHED_WITHIN)[0]
         flat = near[:, 2] >= one.start - _FLAT_HEIGHT

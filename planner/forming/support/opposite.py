@@ -25,7 +25,7 @@ import numpy as np
 from planner.forming.contact import ContactPath, Face, Pass, ToolPath
 from planner.forming.operation import Forming
 from planner.forming.sheet_mechanics import by_corner
-from planner.forming.support.clearance import FarFace, clear_tilt
+from planner.forming.support.clearance import FIRST_POINTS, MOST_POINTS, FarFace, clear_tilt
 from planner.forming.support.directions import (
     axes,
     below_flat,
@@ -230,7 +230,8 @@ def opposite_path(
 ) -> ToolPath:
     """Both tools along ``contact`` over a pass formed from above, for dsif and dpif_l; two controllers meet
     after so many moves, where ``every`` is not 0. If not ``between``, no target is added."""
-    level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius)
+    points = MOST_POINTS if between else FIRST_POINTS
+    level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius, points)
     touching = Touching(one, former.radius, operation.squeeze, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
     radii, allowed = former.radius + support.radius, CHORD_SHARE * operation.gap_tol_mm * MM

@@ -174,6 +174,20 @@ def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
     return {arm: _known(scene, arm, poses[arm], _last(targets, grid, arm), shape) for arm in targets.arms}
 
 
+def apart(scene: Scene, targets: Targets, grid: Grid) -> dict[str, list[Rungs]]:
+    """The states of all arms over the grid on every branch, of targets that nothing joins: states are asked
+    for one by one, so that a branch of an offset wrist may be another one at the next target."""
+    poses, (rows, samples) = _poses(scene, targets, grid)
+    out = {}
+    for arm in targets.arms:
+        chain = scene.chains[arm]
+        count = chain.robot.form.branches
+        angles = chain.inverse(poses[arm], last=_last(targets, grid, arm))
+        angles = angles.reshape(rows, samples, count, chain.robot.axes)
+        out[arm] = [rungs_of(scene, chain, branch, angles[:, :, branch]) for branch in range(count)]
+    return out
+
+
 def on_branches(
     scene: Scene, targets: Targets, grid: Grid, branch: Mapping[str, int]
 ) -> dict[str, Rungs] | None:

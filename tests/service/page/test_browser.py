@@ -78,6 +78,21 @@ def start(page: Page) -> None:
     button.click()
 
 
+COUNTS = """
+  for (const kind of ["click", "keydown"]) {
+    addEventListener(kind, (event) => event.isTrusted && window.counted(kind), true);
+  }
+"""
+"""Counts what a user clicks and types."""
+
+
+ENTER = """() => {
+  const key = { key: "Enter", bubbles: true, cancelable: true };
+  if (document.activeElement.dispatchEvent(new KeyboardEvent("keydown", key))) throw Error("it goes on");
+}"""
+"""Presses Enter where the focus is, which the page has to take for itself."""
+
+
 def bundled(page: Page, server: str, name: str) -> None:
     """Begin with a bundled problem, and wait until it is read."""
     page.goto(f"{server}/ui/new?example={name}")
@@ -87,16 +102,31 @@ def bundled(page: Page, server: str, name: str) -> None:
 def test_a_whole_job_from_upload_to_download(
     page: Page, server: str, small: list[Path], tmp_path: Path
 ) -> None:
-    open_problem(page, server, small)
+    counted = {"click": 0, "keydown": 0}
+    page.context.expose_binding("counted", lambda source, what: counted.update({what: counted[what] + 1}))
+    page.add_init_script(COUNTS)
+    page.goto(server)
+    page.get_by_role("link", name="New job").first.click()
+    with page.expect_file_chooser() as chooser:
+        page.get_by_text("Or open problem files of your own").click()
+    chooser.value.set_files(small)
+    was_read(page)
     expect(page.locator("#size")).to_have_text("100 × 100 × 100 mm")
     start(page)
     page.wait_for_url("**/ui/jobs/*")
     expect(page.locator("#state")).to_have_text("Verified", timeout=90_000)
+    page.get_by_role("button", name="Release", exact=True).click()
+    page.keyboard.type("A B")  # into who releases, without a click
+    page.evaluate(ENTER)  # which neither releases nor throws away what was typed
+    expect(page.get_by_label("Who releases")).to_have_value("A B")
+    page.get_by_role("dialog").get_by_role("button", name="Release", exact=True).click()
+    expect(page.locator("#released-list")).to_contain_text("Released by A B, ")
     expect(page.locator("#figures")).to_contain_text("Least clearance")
     report = page.frame_locator("iframe.report")
     expect(report.get_by_role("heading", name="small")).to_be_visible()
     with page.expect_download() as caught:
-        page.get_by_role("link", name="Download programs").click()
+        page.get_by_role("link", name="Download released programs").click()
+    assert (counted["click"], counted["keydown"]) == (6, 3)  # from an empty browser to released programs
     with zipfile.ZipFile(caught.value.path()) as archive:
         assert any("MODULE" in archive.read(name).decode() for name in archive.namelist())
     page.get_by_role("tab", name="Replay").click()

@@ -3,11 +3,14 @@ robot, changed and deleted by others meanwhile."""
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
 from tests.element.shells import cap, shell
@@ -44,6 +47,12 @@ def test_an_element_is_divided_by_sliders_and_ticked_off(page: Page, server: str
     expect(page.locator(".panel-id").first).to_have_text(re.compile("^[A-Z][0-9]{2}$"))
     expect(page.locator("#foam-said")).to_contain_text("Robot hours: the cuts alone take about")
     expect(page.locator("#foam-said")).to_contain_text(f"Proven: 0 of {COUNT}")
+
+    seen = np.asarray(Image.open(io.BytesIO(page.locator("#canvas").screenshot())).convert("RGB"))
+    for rim in (seen[5], seen[-6], seen[:, 5], seen[:, -6]):  # all of it is in the picture, and fills that
+        assert (np.abs(rim.astype(int) - seen[5, 5])[:-9] <= 2).all()
+    inside = np.flatnonzero((np.abs(seen[9:-9, 9:-9].astype(int) - seen[5, 5]) > 20).any(axis=(1, 2)))
+    assert np.ptp(inside) > 0.6 * len(seen)
 
     label = page.locator(".panel-id").last
     name, place = label.inner_text(), label.bounding_box()

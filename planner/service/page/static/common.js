@@ -11,6 +11,15 @@ export function banner(text, kind = "bad") {
   if (place.textContent !== text) place.textContent = text ?? "";
 }
 
+// Enter in a field of a dialog presses the button that keeps what was typed, and none where there is no such: by
+// itself it is the first one, which leaves all as it was.
+document.addEventListener("keydown", (event) => {
+  const form = event.key === "Enter" && !event.isComposing && event.target instanceof HTMLInputElement && event.target.closest('dialog form[method="dialog"]');
+  if (!form) return;
+  event.preventDefault();
+  form.querySelector("button[data-enter]")?.click();
+});
+
 // The page's controls work from now on; they are disabled until somebody hears them.
 export function ready() {
   $("whole").disabled = false;

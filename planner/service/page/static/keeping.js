@@ -60,6 +60,7 @@ export class Keeping {
     $("keep-name").value = kind === "template" ? String(content.name ?? "") : "";
     $("keep-ask").returnValue = "";
     $("keep-ask").showModal();
+    $("keep-name").select(); // what is typed takes the place of what is proposed
   }
 
   async save() {

@@ -62,8 +62,14 @@ export class PanelView extends Orbit {
     for (let round = 0; round < 3; round++) {
       const { view, lens } = this.camera();
       const all = times(lens, view);
-      const far = this.panels.flatMap((panel) => [panel.low, panel.high]).map((place) => project(all, place)).map(([px, py, , w]) => Math.max(Math.abs(px), Math.abs(py)) / w);
-      this.zoom *= FILLED / Math.max(...far);
+      let far = 0; // half of the canvas is 1
+      for (const { solid } of this.panels) {
+        for (let k = 0; k < solid.vertices.length; k += 3) {
+          const [px, py, , w] = project(all, solid.vertices.slice(k, k + 3));
+          far = Math.max(far, Math.abs(px) / w, Math.abs(py) / w);
+        }
+      }
+      this.zoom *= FILLED / far;
     }
   }
 

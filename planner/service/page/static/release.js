@@ -50,6 +50,7 @@ export function setUpRelease(id, after, who) {
       $(`${name}-name`).value = signed();
       $(`${name}-ask`).returnValue = "";
       $(`${name}-ask`).showModal();
+      if (named && !$(`${name}-name`).value) $(`${name}-name`).focus(); // where it is asked for, it is what is typed next
     });
     $(`${name}-ask`).addEventListener("close", async () => {
       if ($(`${name}-ask`).returnValue !== "yes") return;

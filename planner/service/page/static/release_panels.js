@@ -35,6 +35,7 @@ export function setUpReleasePanels(path, panels, after) {
     $("release-name").value = signed();
     $("release-ask").returnValue = "";
     $("release-ask").showModal();
+    if (nameless && !$("release-name").value) $("release-name").focus();
   });
   $("release-ask").addEventListener("close", async () => {
     if ($("release-ask").returnValue !== "yes") return;

@@ -28,6 +28,7 @@ export function setUpSweep(state, files, draft, refused) {
     if (!$("sweep").open) return;
     draw();
     ready();
+    $("sweep-go").scrollIntoView({ block: "nearest" }); // the card beside the form ends above it
   };
   $("sweep").addEventListener("toggle", redraw);
   for (const name of ["sweep-field", "sweep-values"]) $(name).addEventListener("input", ready);
