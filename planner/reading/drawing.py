@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray
+from planner.geometry.nurbs import NurbsCurve
 from planner.geometry.units import LENGTH_UNITS
 from planner.issues import Issue, Severity, TandemError
 
@@ -63,8 +64,8 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         drawing = readfile(path)
         space = list(drawing.modelspace())
     except Exception as error:  # damaged files raise anything
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise refused("part.dxf", path, field, f"cannot be read ({reason}); export it again") from error
+        what = f"cannot be read ({_first_line(error)}); export it again"
+        raise refused("part.dxf", path, field, what) from error
     layers = sorted({entity.dxf.layer for entity in space})
     asked = [e for e in space if layer is None or e.dxf.layer.lower() == layer.lower()]
     wanted = [e for e in asked if not _is_hidden(e, drawing)]
@@ -91,15 +92,24 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         )
         what += f"see its sides: write unit: {name}, or save it with its own unit (_UNITS)"
         notes.append(Issue("part.dxf_unit", what, Severity.WARNING, file=str(path), field=field))
-    _require_size(curves, ezpath, unit, path, field)
-    pieces = [_flat(e, ezpath, unit) for e in curves]
-    pieces = [p for p in pieces if len(p) > 1]
+    try:
+        _require_size(curves, ezpath, unit, path, field)
+        pieces = [p for p in (_flat(e, ezpath, unit) for e in curves) if len(p) > 1]
+    except TandemError:
+        raise
+    except Exception as error:  # numbers that make no curve, as knots too few or out of order, raise anything
+        what = f"has a curve that cannot be read ({_first_line(error)}); draw it again"
+        raise refused("part.dxf", path, field, what) from error
     if len(pieces) > MOST_CURVES:
         what = f"has {len(pieces)} curves, {MOST_CURVES} are read; name a layer, or join them to polylines"
         raise refused("part.dxf", path, field, what)
     if any(not np.isfinite(p).all() for p in pieces):
         raise refused("part.dxf", path, field, "has numbers that are not finite; export it again")
     return joined(pieces), notes
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
 
 
 _SHOW: Final = "show what is invisible, off or frozen, if it is meant"
@@ -126,9 +136,42 @@ def _require_size(curves: list[Any], ezpath: Any, unit: float, path: Path, field
 
 
 def _flat(entity: Any, ezpath: Any, unit: float) -> FloatArray:
+    if entity.dxftype() == "SPLINE":
+        return _along_spline(entity, FLATNESS / unit) * unit
     curve = ezpath.make_path(entity)
     points = [(v.x, v.y, v.z) for v in curve.flattening(FLATNESS / unit, segments=16)]
-    return np.array(points, dtype=np.float64).reshape(-1, 3) * unit
+    out = np.array(points, dtype=np.float64).reshape(-1, 3) * unit
+    return out[::-1] if _is_turned_round(entity, out / unit) else out
+
+
+def _along_spline(entity: Any, chord: float) -> FloatArray:
+    """Points (N, 3) of a spline between the knots where it begins and ends: those of a closed one go on
+    beyond them, where ezdxf's paths do as well."""
+    tool = entity.construction_tool()
+    points = np.array([(v.x, v.y, v.z) for v in tool.control_points], dtype=np.float64).reshape(-1, 3)
+    weight = np.array(tool.weights(), dtype=np.float64).reshape(-1, 1)
+    weight = weight if len(weight) == len(points) else np.ones((len(points), 1))
+    control = np.concatenate([points * weight, weight], axis=1)
+    return NurbsCurve(tool.degree, np.array(tool.knots(), dtype=np.float64), control).chords(chord)
+
+
+def _is_turned_round(entity: Any, points: FloatArray) -> bool:
+    """Whether points (N, 3) of an entity run against it, as ezdxf makes those of a circle, or of an ellipse
+    that ends where it begins: it takes the end for the place where they go on."""
+    kind = entity.dxftype()
+    if kind not in ("CIRCLE", "ELLIPSE") or not _shut(points):
+        return False
+    if kind == "CIRCLE":
+        (early,) = entity.vertices([360.0 * _EARLY])
+    else:
+        first, last = entity.dxf.start_param, entity.dxf.end_param
+        (early,) = entity.vertices([first + _EARLY * ((last - first) % (2.0 * np.pi) or 2.0 * np.pi)])
+    way = np.array((early.x, early.y, early.z)) - points[0]
+    return bool(way @ (points[-2] - points[0]) > way @ (points[1] - points[0]))
+
+
+_EARLY: Final = 1e-3
+"""A place so early on an entity tells its direction."""
 
 
 def joined(pieces: list[FloatArray]) -> list[FileCurve]:
