@@ -121,7 +121,7 @@ def test_what_the_planner_lays_keeps_to_the_surface(tmp_path: Path, name: str) -
 def test_a_tool_that_turns_on_its_way_is_off_the_block_at_its_end(
     tmp_path: Path, radii: tuple[int, int]
 ) -> None:
-    """It is behind there at its end that goes round less, and drawn back along its axis (verify.mill_path)."""
+    """It is behind at its end that goes round less, and drawn back along its axis (verify.mill_path)."""
     cone = [
         {"polyline_mm": [[float(r * np.cos(t)), float(r * np.sin(t)), z] for t in TURN]}
         for r, z in zip(radii, (12, 50), strict=True)
