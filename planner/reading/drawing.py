@@ -184,43 +184,26 @@ def joined(pieces: list[FloatArray]) -> list[FileCurve]:
     for begin, first in enumerate(pieces):
         if done[begin]:
             continue
-        chain, left[begin] = first, False
-        grown = True
-        while grown and not _shut(chain):
-            grown = False
-            gap = np.linalg.norm(ends[left][:, :, None] - chain[[0, -1]], axis=-1).min(axis=(1, 2))
-            for i in np.flatnonzero(left)[gap <= 2.0 * _JOINED_WITHIN]:
-                joined = _attach(chain, pieces[i])
-                if joined is not None:
-                    chain, grown = joined, True
-                    left[i], done[i] = False, True
-                    break
+        chain, before, left[begin] = first, 0, False
+        while left.any() and not _shut(chain):
+            # where several meet, the nearest end goes on
+            rows = np.flatnonzero(left)
+            gap = np.linalg.norm(ends[rows][:, :, None] - chain[[0, -1]], axis=-1)
+            row, end, own = np.unravel_index(int(np.argmin(gap)), gap.shape)
+            if gap[row, end, own] > _JOINED_WITHIN:
+                break
+            i = int(rows[row])
+            piece = pieces[i][::-1] if end else pieces[i]  # leads away from the chain
+            chain = np.concatenate([chain, piece[1:]] if own else [piece[:0:-1], chain])
+            before += 0 if own else len(piece) - 1
+            left[i], done[i] = False, True
         closed = _shut(chain)
-        points = chain[:-1] if closed else chain
-        out.append(FileCurve(points if chain is first else _run_as(points, closed, first), closed))
+        out.append(FileCurve(np.roll(chain[:-1], -before, axis=0) if closed else chain, closed))
     return out
-
-
-def _run_as(points: FloatArray, closed: bool, first: FloatArray) -> FloatArray:
-    """The points (N, 3) of a curve in the direction in which those of its piece ``first`` are."""
-    count = len(points)
-    for way in (points, points[::-1]):
-        for at in np.flatnonzero((way == first[0]).all(axis=1)):
-            if (at + 1 < count or closed) and (way[(at + 1) % count] == first[1]).all():
-                return np.asarray(np.roll(way, -at, axis=0) if closed else way)
-    return points
 
 
 def _shut(points: FloatArray) -> bool:
     return len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) <= _JOINED_WITHIN)
-
-
-def _attach(chain: FloatArray, other: FloatArray) -> FloatArray | None:
-    for own in (chain, chain[::-1]):
-        for piece in (other, other[::-1]):
-            if np.linalg.norm(own[-1] - piece[0]) <= _JOINED_WITHIN:
-                return np.concatenate([own, piece[1:]])
-    return None
 
 
 def refused(code: str, path: Path, field: str, what: str) -> TandemError:

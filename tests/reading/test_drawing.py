@@ -130,3 +130,15 @@ def test_a_spline_whose_knots_make_no_curve_is_refused_by_name(tmp_path: Path, k
     document.saveas(tmp_path / "a.dxf")
     with pytest.raises(TandemError, match=r"a\.dxf: has a curve that cannot be read .*; draw it again"):
         read_dxf(tmp_path / "a.dxf", 1e-3, None, "part")
+
+
+def test_where_three_lines_meet_planner_and_proof_go_on_with_the_nearest(tmp_path: Path) -> None:
+    """Ends that are a few nanometres apart, as those of a file in inches: the first of the file was taken."""
+    document = ezdxf.new(units=4)
+    for start, end in (((0, 0), (10, 0)), ((10.000004, 0), (20, 5)), ((10.000001, 0), (20, -5))):
+        document.modelspace().add_line(start, end)
+    document.saveas(tmp_path / "a.dxf")
+    own, _ = read_dxf(tmp_path / "a.dxf", 1e-3, None, "part")
+    other = proof.read_curves(tmp_path / "a.dxf", 1e-3, None)
+    assert [curve.run()[-1].tolist() for curve in own] == [curve.points[-1].tolist() for curve in other]
+    assert own[0].run()[-1, 1] == pytest.approx(-5e-3)
