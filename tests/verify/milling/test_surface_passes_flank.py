@@ -133,6 +133,19 @@ def test_a_tool_that_turns_on_its_way_is_off_the_block_at_its_end(
         assert not in_block(tip, axis, cutter.overhang, cutter.radius, stock).any()
 
 
+def test_a_tool_that_is_drawn_back_may_do_so_fast_from_the_end_of_its_way_on(tmp_path: Path) -> None:
+    """Its first millimetres up counted as its way aside, at the feed: a quick arm's job was not proven."""
+    straight = [{"polyline_mm": [[*p[:2], z] for p in ROUND[0]["polyline_mm"]]} for z in (12, 50)]
+    own, claim = job(tmp_path, part=wall(*straight, closed=True), cuts=[{"flank": "wall"}])
+    (run,) = own.planned.runs
+    found = parts(own, run)
+    tip, axis = found[""]
+    for phase, rows, end in (("_in", [0, 1], 0), ("_out", [-1, -2], -1)):
+        way = surface_passes.ways(claim, 0, (tip[rows], axis[rows]), *found[phase])
+        rise = (found[phase][0] - run.path.tip[end]) @ run.path.axis[end]
+        assert way.up[rise > 0.5e-3].all() and not way.up[rise < -0.5e-3].any()
+
+
 Change = Callable[[FloatArray, FloatArray, MillsFlank], tuple[FloatArray, FloatArray]]
 
 
