@@ -314,7 +314,7 @@ def test_a_base_is_not_lowered_into_the_floor(
     made = gantry_job.problem(tmp_path, axes, (), -1500.0, base={"xyz_mm": [0, 0, 0]})
     if not blind:
         (issue,) = [one for one in planner.check(made) if one.code == "motion.station"]
-        assert "left/base_link and the floor" in issue.message
+        assert "left/base_link goes below the floor" in issue.message
         return
     monkeypatch.setattr(axis_way, "_low", lambda *args: {})
     out = planner.plan(made)
