@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from planner import pipeline
-from planner.catalogue.robots import data_dir
+from planner.catalogue.robots import data_dir, robot
 from planner.geometry.arrays import inverse, log_rotation
 from planner.issues import TandemError
 from planner.loading import proven
@@ -235,6 +235,24 @@ def test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps(monkeypatch):
             write.programs(straight_job.plan(12), driven_job.bow_problem())
     (issue,) = caught.value.issues
     assert issue.code == "post.trajectory" and "top" in issue.message and "stop" in issue.hint
+
+
+ENDS_SLOWLY = (
+    (-2.872011, -0.398768, -3.005884, 0.024206, 1.120486, 1.000752),
+    (-2.870872, -0.380061, -2.981611, 0.012405, 1.07298, 1.000542),
+    (-2.86986, -0.361211, -2.956353, 0.0, 1.024346, 1.000335),
+)
+"""Joints [rad] at a cut's last targets and at that of its way out."""
+
+
+def test_no_point_is_set_on_the_end_of_a_slow_way():
+    """In the middle of its time the cubic swings beyond the end: a move went nowhere, which is not proven."""
+    one = straight_ways.Driven(robot("hc10dtp"), np.eye(4), np.eye(4), slice(0, 6))
+    q = np.array(ENDS_SLOWLY)
+    none, feeds = np.zeros(2, dtype=bool), (np.ones((1, 2)), np.zeros((1, 2)))
+    wanted = curves.Wanted(np.array([0.1505, 0.6384]), 1.0, *feeds, np.zeros(2), none, none)
+    made = curves.curve([one], q, np.array([False, True]), wanted)
+    assert np.abs(np.diff(made.q, axis=0)).max(axis=1).min() > 1e-4
 
 
 def test_arms_of_any_family_may_be_driven():

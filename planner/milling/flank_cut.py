@@ -27,6 +27,12 @@ LEAD_TARGETS: Final = 6
 """Targets of a way in or out on which the tool still turns."""
 LEAD_TURN: Final = np.deg2rad(10.0)
 """How far [rad] a tool turns on along a way in or out at most."""
+LEAD_ROUNDS: Final = 8
+"""How often a way in or out is made longer at most, until the cutter is off the block at its end."""
+LEAD_PLACES: Final = 257
+"""Places along a cutter that are held against the block there."""
+LEAD_SPARE: Final = 1e-4
+"""What a cutter has to be off the block there [m] besides its radius: programs are rounded."""
 LONGEST_LEAD: Final = 5.0
 """A way that is not off the block after so much [m] never is."""
 
@@ -347,7 +353,27 @@ def _lead(
     if length < 1e-6:
         return low[:0], high[:0]
     one, other = beyond(low[k], high[k], low_way, high_way, length)
+    for _ in range(LEAD_ROUNDS if cut.lead_mm is None else 0):
+        more = _still_in(one[-1], other[-1], way, lift, cutter, box)
+        if more <= 0.0 or length >= LONGEST_LEAD:
+            break
+        # a tool that turns on its way is behind at one end, and leans over the block above the surface
+        length += more
+        one, other = beyond(low[k], high[k], low_way, high_way, length)
     return one[1:], other[1:]
+
+
+def _still_in(
+    low: FloatArray, high: FloatArray, way: FloatArray, lift: float, cutter: Cutter, box: FloatArray
+) -> float:
+    """How far [m] on along ``way`` (3,) a cutter on the axis from ``low`` to ``high`` (3,) is off the block
+    with its whole length, 0 where it is there already: it is drawn back along that axis."""
+    axis = unit(high - low)
+    back = np.linspace(lift, lift + cutter.overhang, LEAD_PLACES)
+    on = low + back[:, None] * axis
+    gap = np.linalg.norm(np.maximum(np.maximum(box[0] - on, on - box[1]), 0.0), axis=1)
+    inside = gap < cutter.radius + LEAD_SPARE
+    return off_block(on[inside], way, box, cutter.radius + BLOCK_CLEARANCE) if inside.any() else 0.0
 
 
 def _up(length: float) -> float:

@@ -330,8 +330,9 @@ def _curves(cut: EngraveCut, key: str) -> tuple[list[tuple[FloatArray, str]], li
         field = f"operations.cuts.{cut.name}.{key}.{number}"
         try:
             if spec.drawing is None:
+                smooth = spec.bspline_mm is not None or spec.bezier_mm is not None
                 own, told = guide(spec, None, Path(), field)
-                out.append((_along(own.points), field))
+                out.append((_along(own.points, not smooth), field))
                 notes += told
                 continue
             found, told = spec.drawing.curves(f"{field}.drawing")
@@ -349,11 +350,12 @@ def _curves(cut: EngraveCut, key: str) -> tuple[list[tuple[FloatArray, str]], li
     return out, notes
 
 
-def _along(own: FloatArray) -> FloatArray:
-    """Places (N, 3) [m] along a curve (K, 3), evenly apart, with its corners."""
+def _along(own: FloatArray, corners: bool = True) -> FloatArray:
+    """Places (N, 3) [m] along a curve (K, 3), evenly apart, with its ``corners`` if it has some: points of a
+    spline that is bent tightly would have a tool lean otherwise than places beside them."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(own, axis=0), axis=1))])
     even = np.linspace(0.0, length[-1], max(int(np.ceil(length[-1] / CURVE_SPACING)), 2) + 1)
-    at = np.unique(np.concatenate([even, length]))
+    at = np.unique(np.concatenate([even, length])) if corners else even
     return np.stack([np.interp(at, length, own[:, k]) for k in range(3)], axis=1)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -235,7 +235,7 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
         limit=limit / MM,
         unit="mm",
         count=count,
-        hint=_room(targets, setting),
+        hint=_room(targets, setting, nearest),
     )
 
 
@@ -363,12 +363,22 @@ def describe(
         limit=limit / MM,
         unit="mm",
         count=count,
-        hint=_room(targets, setting),
+        hint=_room(targets, setting, pair),
     )
 
 
-def _room(targets: Targets, setting: str) -> str:
-    """What to do where bodies are too near each other; ``setting`` is the one that asks for it."""
+def at_support(pair: Sequence[str]) -> bool:
+    """Whether two bodies are a tool's working end and what bears the stock: they stand to each other as the
+    work has it, wherever the stock is."""
+    return "support" in pair and any(body.endswith("/edge") for body in pair)
+
+
+def _room(targets: Targets, setting: str, pair: tuple[str, str]) -> str:
+    """What to do where the bodies of a ``pair`` are too near each other; ``setting`` is the one that asks for
+    it."""
+    if at_support(pair):
+        what = "make room there for the tool in what holds or bears the stock, which moves along with it (a "
+        return f"{what}sheet's clamp: a larger opening_mm), take a slimmer tool, or lower {setting}"
     if setting == own_clearance.OWN_FIELD:
         return f"{_else(targets)}, mount the tool otherwise, or lower {setting}"
     return f"{_else(targets)}, move the obstacle, or lower {setting}"

@@ -747,8 +747,9 @@ def _unplaced(trace: Trace, stand: Stand, tried: Sequence[Place], reasons: Seque
         found += f", {len(tried)} of these planned, none to the end: at {x:.0f}, {y:.0f}, {z:.0f} mm there "
         found += f"was {reasons[0].code}"
         hint = f"mend what is told of that place as well ({reasons[0].code}); or "
+        stays = diagnosis.at_support(reasons[0].bodies or ())
     else:
-        hint = ""
+        hint, stays = "", False
         if stock.pedestal is not None and stock.pedestal.kind == "table":
             hint = "let the block stand on a pedestal, beside which tools can pass (support: pedestal); "
         elif not reachable and stock.support and stock.sheet is None and stock.held_by is None:
@@ -770,7 +771,9 @@ def _unplaced(trace: Trace, stand: Stand, tried: Sequence[Place], reasons: Seque
         field="stock.place",
         value=float(np.rad2deg(trace.score[best])) if reachable else None,
         unit="deg" if reachable else None,
-        hint=f"{hint}use larger arms, move the bases nearer or let them move (base: auto), or split the job",
+        hint="mend what is told of that place as well: it is so at every place"
+        if stays
+        else f"{hint}use larger arms, move the bases nearer or let them move (base: auto), or split the job",
     )
 
 

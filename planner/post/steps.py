@@ -24,6 +24,7 @@ from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.post import handshake as handshake_drift
 from planner.post.handshake import handshake_refusals, meeting_rows, stretched
+from planner.post.krl.syntax import settled
 from planner.post.program import (
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
@@ -201,8 +202,9 @@ class _Builder:
         _check(plan, self.handshake is None)
         frames = _frames(plan, setup)
         written = _written(plan, frames, place)
-        keep = _kept(written)
         arms = {arm.name: arm for arm in setup.cell.arms}
+        written |= {arm: settled(*w) for arm, w in written.items() if arms[arm].data.family == "KUKA"}
+        keep = _kept(written)
         stop = _stops(targets, keep)
         meets = np.zeros(len(keep), dtype=np.int64)
         turned = [written[arm][0] for arm in targets.arms if arms[arm].data.family == "UR"]

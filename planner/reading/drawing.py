@@ -10,6 +10,7 @@ import numpy as np
 
 from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray
+from planner.geometry.nurbs import NurbsCurve
 from planner.geometry.units import LENGTH_UNITS
 from planner.issues import Issue, Severity, TandemError
 
@@ -63,8 +64,8 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         drawing = readfile(path)
         space = list(drawing.modelspace())
     except Exception as error:  # damaged files raise anything
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise refused("part.dxf", path, field, f"cannot be read ({reason}); export it again") from error
+        what = f"cannot be read ({_first_line(error)}); export it again"
+        raise refused("part.dxf", path, field, what) from error
     layers = sorted({entity.dxf.layer for entity in space})
     asked = [e for e in space if layer is None or e.dxf.layer.lower() == layer.lower()]
     wanted = [e for e in asked if not _is_hidden(e, drawing)]
@@ -91,15 +92,24 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         )
         what += f"see its sides: write unit: {name}, or save it with its own unit (_UNITS)"
         notes.append(Issue("part.dxf_unit", what, Severity.WARNING, file=str(path), field=field))
-    _require_size(curves, ezpath, unit, path, field)
-    pieces = [_flat(e, ezpath, unit) for e in curves]
-    pieces = [p for p in pieces if len(p) > 1]
+    try:
+        _require_size(curves, ezpath, unit, path, field)
+        pieces = [p for p in (_flat(e, ezpath, unit) for e in curves) if len(p) > 1]
+    except TandemError:
+        raise
+    except Exception as error:  # numbers that make no curve, as knots too few or out of order, raise anything
+        what = f"has a curve that cannot be read ({_first_line(error)}); draw it again"
+        raise refused("part.dxf", path, field, what) from error
     if len(pieces) > MOST_CURVES:
         what = f"has {len(pieces)} curves, {MOST_CURVES} are read; name a layer, or join them to polylines"
         raise refused("part.dxf", path, field, what)
     if any(not np.isfinite(p).all() for p in pieces):
         raise refused("part.dxf", path, field, "has numbers that are not finite; export it again")
     return joined(pieces), notes
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
 
 
 _SHOW: Final = "show what is invisible, off or frozen, if it is meant"
@@ -126,9 +136,42 @@ def _require_size(curves: list[Any], ezpath: Any, unit: float, path: Path, field
 
 
 def _flat(entity: Any, ezpath: Any, unit: float) -> FloatArray:
+    if entity.dxftype() == "SPLINE":
+        return _along_spline(entity, FLATNESS / unit) * unit
     curve = ezpath.make_path(entity)
     points = [(v.x, v.y, v.z) for v in curve.flattening(FLATNESS / unit, segments=16)]
-    return np.array(points, dtype=np.float64).reshape(-1, 3) * unit
+    out = np.array(points, dtype=np.float64).reshape(-1, 3) * unit
+    return out[::-1] if _is_turned_round(entity, out / unit) else out
+
+
+def _along_spline(entity: Any, chord: float) -> FloatArray:
+    """Points (N, 3) of a spline between the knots where it begins and ends: those of a closed one go on
+    beyond them, where ezdxf's paths do as well."""
+    tool = entity.construction_tool()
+    points = np.array([(v.x, v.y, v.z) for v in tool.control_points], dtype=np.float64).reshape(-1, 3)
+    weight = np.array(tool.weights(), dtype=np.float64).reshape(-1, 1)
+    weight = weight if len(weight) == len(points) else np.ones((len(points), 1))
+    control = np.concatenate([points * weight, weight], axis=1)
+    return NurbsCurve(tool.degree, np.array(tool.knots(), dtype=np.float64), control).chords(chord)
+
+
+def _is_turned_round(entity: Any, points: FloatArray) -> bool:
+    """Whether points (N, 3) of an entity run against it, as ezdxf makes those of a circle, or of an ellipse
+    that ends where it begins: it takes the end for the place where they go on."""
+    kind = entity.dxftype()
+    if kind not in ("CIRCLE", "ELLIPSE") or not _shut(points):
+        return False
+    if kind == "CIRCLE":
+        (early,) = entity.vertices([360.0 * _EARLY])
+    else:
+        first, last = entity.dxf.start_param, entity.dxf.end_param
+        (early,) = entity.vertices([first + _EARLY * ((last - first) % (2.0 * np.pi) or 2.0 * np.pi)])
+    way = np.array((early.x, early.y, early.z)) - points[0]
+    return bool(way @ (points[-2] - points[0]) > way @ (points[1] - points[0]))
+
+
+_EARLY: Final = 1e-3
+"""A place so early on an entity tells its direction."""
 
 
 def joined(pieces: list[FloatArray]) -> list[FileCurve]:
@@ -141,43 +184,26 @@ def joined(pieces: list[FloatArray]) -> list[FileCurve]:
     for begin, first in enumerate(pieces):
         if done[begin]:
             continue
-        chain, left[begin] = first, False
-        grown = True
-        while grown and not _shut(chain):
-            grown = False
-            gap = np.linalg.norm(ends[left][:, :, None] - chain[[0, -1]], axis=-1).min(axis=(1, 2))
-            for i in np.flatnonzero(left)[gap <= 2.0 * _JOINED_WITHIN]:
-                joined = _attach(chain, pieces[i])
-                if joined is not None:
-                    chain, grown = joined, True
-                    left[i], done[i] = False, True
-                    break
+        chain, before, left[begin] = first, 0, False
+        while left.any() and not _shut(chain):
+            # where several meet, the nearest end goes on
+            rows = np.flatnonzero(left)
+            gap = np.linalg.norm(ends[rows][:, :, None] - chain[[0, -1]], axis=-1)
+            row, end, own = np.unravel_index(int(np.argmin(gap)), gap.shape)
+            if gap[row, end, own] > _JOINED_WITHIN:
+                break
+            i = int(rows[row])
+            piece = pieces[i][::-1] if end else pieces[i]  # leads away from the chain
+            chain = np.concatenate([chain, piece[1:]] if own else [piece[:0:-1], chain])
+            before += 0 if own else len(piece) - 1
+            left[i], done[i] = False, True
         closed = _shut(chain)
-        points = chain[:-1] if closed else chain
-        out.append(FileCurve(points if chain is first else _run_as(points, closed, first), closed))
+        out.append(FileCurve(np.roll(chain[:-1], -before, axis=0) if closed else chain, closed))
     return out
-
-
-def _run_as(points: FloatArray, closed: bool, first: FloatArray) -> FloatArray:
-    """The points (N, 3) of a curve in the direction in which those of its piece ``first`` are."""
-    count = len(points)
-    for way in (points, points[::-1]):
-        for at in np.flatnonzero((way == first[0]).all(axis=1)):
-            if (at + 1 < count or closed) and (way[(at + 1) % count] == first[1]).all():
-                return np.asarray(np.roll(way, -at, axis=0) if closed else way)
-    return points
 
 
 def _shut(points: FloatArray) -> bool:
     return len(points) > 3 and bool(np.linalg.norm(points[0] - points[-1]) <= _JOINED_WITHIN)
-
-
-def _attach(chain: FloatArray, other: FloatArray) -> FloatArray | None:
-    for own in (chain, chain[::-1]):
-        for piece in (other, other[::-1]):
-            if np.linalg.norm(own[-1] - piece[0]) <= _JOINED_WITHIN:
-                return np.concatenate([own, piece[1:]])
-    return None
 
 
 def refused(code: str, path: Path, field: str, what: str) -> TandemError:

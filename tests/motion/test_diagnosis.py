@@ -255,3 +255,8 @@ def test_a_floor_and_what_bases_and_stock_stand_on_are_not_to_be_moved() -> None
         two_arms(obstacles=(bench, floor, box("post", (0.1, 0.1, 0.5), (0.6, 0.6, 0.25)))), targets, HIGH
     )
     assert [o.name for o in job.cell.obstacles if remedies.movable(job, o)] == ["post"]
+
+
+def test_a_tool_at_what_bears_the_stock_is_not_helped_by_moving_the_stock() -> None:
+    told = diagnosis._room(arc_wire(4), "clearance_mm", ("a/edge", "support"))
+    assert "larger opening_mm" in told and "move or turn the stock" not in told

@@ -90,3 +90,55 @@ def test_pieces_are_joined_as_one_by_one() -> None:
         assert [(curve.closed, len(curve.points)) for curve in joined(pieces)] == naive(pieces)
     lines = [np.array([[2.0 * i, 0, 0], [2.0 * i + 1.0, 0, 0]]) for i in range(300)]
     assert len(joined(lines)) == len(proof.chained(lines)) == 300
+
+
+CLOSED = {
+    "circle": lambda space: space.add_circle((3, 4), 10),
+    "circle from below": lambda space: space.add_circle((3, 4), 10, dxfattribs={"extrusion": (0, 0, -1)}),
+    "ellipse": lambda space: space.add_ellipse((3, 4), (10, 3), 0.5, 1.0, 1.0 + 2.0 * np.pi),
+    "spline": lambda space: space.add_open_spline([(0, 0), (10, 5), (20, 0), (10, -9), (0, 0)]),
+    "spline of a period": lambda space: space.add_spline().set_closed(
+        [(0, 0, 0), (10, 5, 0), (20, 0, 0), (10, -9, 0)]
+    ),
+    "polyline": lambda space: space.add_lwpolyline([(0, 0, 0, 0, 0.5), (10, 0), (10, 10)], close=True),
+}
+
+
+@pytest.mark.parametrize("kind", CLOSED)
+def test_what_ends_where_it_begins_is_run_as_it_is_drawn(tmp_path: Path, kind: str) -> None:
+    """Engraving runs along it that way, by planner and proof: ezdxf's paths of some go the other way."""
+    document = ezdxf.new(units=4)
+    CLOSED[kind](document.modelspace())
+    document.saveas(tmp_path / "a.dxf")
+    ((own,), _) = read_dxf(tmp_path / "a.dxf", 1e-3, None, "part")
+    (other,) = proof.read_curves(tmp_path / "a.dxf", 1e-3, None)
+    assert own.closed and other.closed
+    ways = []
+    for points in (own.run(), np.concatenate([other.points, other.points[:1]])):
+        gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+        at = np.linspace(0.0, gone[-1], 17)
+        ways.append(np.stack([np.interp(at, gone, points[:, k]) for k in range(3)], axis=1))
+    assert np.abs(ways[0] - ways[1]).max() < 1e-5
+
+
+@pytest.mark.parametrize("knots", [[0, 0, 0, 0, 1], [0, 0, 3, 0, 1, 1, 1, 1], [0] * 8])
+def test_a_spline_whose_knots_make_no_curve_is_refused_by_name(tmp_path: Path, knots: list[float]) -> None:
+    document = ezdxf.new(units=4)
+    spline = document.modelspace().add_spline()
+    spline.control_points = [(0, 0, 0), (10, 5, 0), (20, 0, 0), (10, -9, 0)]
+    spline.knots = knots
+    document.saveas(tmp_path / "a.dxf")
+    with pytest.raises(TandemError, match=r"a\.dxf: has a curve that cannot be read .*; draw it again"):
+        read_dxf(tmp_path / "a.dxf", 1e-3, None, "part")
+
+
+def test_where_three_lines_meet_planner_and_proof_go_on_with_the_nearest(tmp_path: Path) -> None:
+    """Ends that are a few nanometres apart, as those of a file in inches: the first of the file was taken."""
+    document = ezdxf.new(units=4)
+    for start, end in (((0, 0), (10, 0)), ((10.000004, 0), (20, 5)), ((10.000001, 0), (20, -5))):
+        document.modelspace().add_line(start, end)
+    document.saveas(tmp_path / "a.dxf")
+    own, _ = read_dxf(tmp_path / "a.dxf", 1e-3, None, "part")
+    other = proof.read_curves(tmp_path / "a.dxf", 1e-3, None)
+    assert [curve.run()[-1].tolist() for curve in own] == [curve.points[-1].tolist() for curve in other]
+    assert own[0].run()[-1, 1] == pytest.approx(-5e-3)

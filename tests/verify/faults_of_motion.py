@@ -76,7 +76,7 @@ def _link(name: str, more: float) -> Any:
 
 
 def _straight_way(old: Any) -> Any:
-    return lambda scene, standing, arm, goal: np.stack([scene.chains[arm].home, goal])
+    return lambda scene, standing, arm, goal: (np.stack([scene.chains[arm].home, goal]), False)
 
 
 def _all_eased(old: Any) -> Any:

@@ -435,6 +435,17 @@ def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) ->
     )
 
 
+def settled(position: FloatArray, quaternion: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions (N, 3) [mm] and quaternions (N, 4) with those that KRL has as the place before as that one:
+    a move between them would go nowhere."""
+    at, angles = position.copy(), np.round(abc(from_quaternion(quaternion)), ANGLE_DECIMALS) + 0.0
+    _settle(at, angles)
+    out = quaternion.copy()
+    for row in np.flatnonzero((np.diff(np.hstack([at, angles]), axis=0) == 0.0).all(axis=1)).tolist():
+        out[row + 1] = out[row]
+    return at, out
+
+
 def _settle(position: FloatArray, angles: FloatArray) -> None:
     """Places that are no farther from the one before than the least speed goes in the least time of a move
     are that one, and so are poses that are no farther turned, either."""

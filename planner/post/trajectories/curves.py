@@ -59,6 +59,8 @@ MOST_AT_CORNERS: Final = 1.5
 """but no more than so many times the mean of both velocities there."""
 CORNER_SHARE: Final = 0.25
 """which takes at most so much of the moves beside it."""
+END_SHARE: Final = 0.1
+"""A point between two others has this share of their way on either side at least."""
 _SHARES: Final = np.array([0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
 """Where between two points the way is looked at."""
 _PIECES: Final = 16
@@ -454,7 +456,8 @@ def _between(arms: Sequence[Driven], points: _Points, v: FloatArray, rows: IntAr
         share, length, angle = share_gone(arm.tool(q), arm.tool(middle))
         shares.append(share[rows, 0])
         weights.append(length[rows] + 0.3 * angle[rows] + 1e-9)
-    share = np.average(shares, axis=0, weights=weights)
+    # a cubic that swings beyond the end of its way there would set the point on that end
+    share = np.clip(np.average(shares, axis=0, weights=weights), END_SHARE, 1.0 - END_SHARE)
     found = middle[rows, 0]
     for arm in carriers_first(arms):
         wanted = straight(arm.tool(q), spread(share, rows, len(span)))

@@ -223,7 +223,7 @@ def ways(
     # the last sample of a first stretch that goes on as the surface does is where the tool is drawn back
     leaves = int(np.argmin(aside)) if not aside.all() else len(aside)
     rows = np.arange(max(leaves, 1))
-    outer = int(rows[np.argmax(far[rows])])
+    outer = min(int(rows[np.argmax(far[rows])]), _drawn_back(tip, axis, claim))
     rise = ((tip - tip[outer]) * axis[outer]).sum(axis=1)
     beside = np.linalg.norm(tip - tip[outer] - rise[:, None] * axis[outer], axis=1)
     turned = _angle(axis, axis[outer : outer + 1])
@@ -237,6 +237,15 @@ def ways(
     if claim.safe.up * (float(tip[-1, claim.safe.across]) - claim.safe.level) < -claim.tolerance:
         faults.append("its way does not come from the safe plane, or go to it")
     return Way(np.minimum(line, lead), line <= 1.0, lead <= 1.0, tuple(faults))
+
+
+def _drawn_back(tip: FloatArray, axis: FloatArray, claim: MillsFlank) -> int:
+    """From which sample on, in the order away from the pass, the tool is on the straight along its last axis:
+    where its way aside is long, the first millimetres of that are still beside it within what is allowed."""
+    rise = ((tip - tip[-1]) * axis[-1]).sum(axis=1)
+    beside = np.linalg.norm(tip - tip[-1] - rise[:, None] * axis[-1], axis=1)
+    off = (beside > 0.5 * claim.tolerance) | (_angle(axis, axis[-1:]) > 0.5 * claim.turn)
+    return int(np.flatnonzero(off)[-1]) + 1 if off.any() else 0
 
 
 def _from_ray(gone: FloatArray, way: FloatArray) -> FloatArray:

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from planner.geometry.arrays import from_rpy
+from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.issues import TandemError
 from planner.post.krl.data import load_data
-from planner.post.krl.syntax import NAME_LENGTH, RESERVED, abc, comment, frame, name, rotation
+from planner.post.krl.syntax import NAME_LENGTH, RESERVED, abc, comment, frame, name, rotation, settled
 from planner.post.program import Load
 from tests.post import synthetic
 
@@ -115,3 +115,14 @@ def test_tool_and_block_together_weigh_what_trimesh_says():
     assert np.allclose(values[1:4], centre * 1e3, atol=1e-3)
     axes = Rotation.from_euler("ZYX", values[4:7], degrees=True).as_matrix()
     assert np.allclose(axes @ np.diag(values[7:]) @ axes.T, tensor, atol=2e-6)
+
+
+def test_places_that_krl_has_as_one_are_no_moves_of_their_own():
+    """What the least speed goes in the least time of a move is farther than a recorder that stands says."""
+    position = np.array([[0.0, 0, 0], [1, 0, 0], [1.0001, 0, 0], [1.0004, 0, 0], [1.0004, 0, 0], [2, 0, 0]])
+    turn = np.deg2rad([0.0, 0, 0, 1e-7, 5, 5])
+    quaternion = to_quaternion(np.stack([from_rpy((0, 0, 0), (0, 0, t))[:3, :3] for t in turn]))
+    at, out = settled(position, quaternion)
+    same = [(at[k] == at[k - 1]).all() and (out[k] == out[k - 1]).all() for k in range(1, len(at))]
+    assert same == [False, True, True, False, False]
+    assert np.abs(at - position).max() < 6.1e-4 and np.abs(out - quaternion).max() < 1e-8

@@ -31,12 +31,14 @@ from tests.milling.small_mill import BALL, PANEL, problem
 
 WAVE = {"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}
 ZIGZAG = {"polyline_mm": [[-30, -10, 0], [-10, 12, 0], [5, -8, 0], [5, 10, 0], [28, 9, 0]]}
+BEND = {"bspline_mm": [[17, 1, 0], [-29, -4, 0], [-20, 11, 0], [-11, -8, 0]]}
 ARCH = {"bezier_mm": [[-25, 10, 5], [0, 20, 9], [25, 8, 1]]}
 ABOVE = {"polyline_mm": [[-34, -14, 60], [-12, 16, 60], [6, -12, 60], [6, 14, 60], [33, 12, 60]]}
 VARIANTS: dict[str, dict[str, Any]] = {
     "along the normal": {"engrave": [WAVE, ARCH, ZIGZAG]},
     "leaning": {"engrave": [WAVE, ARCH], "lead_deg": 12, "tilt_deg": -7},
     "leaning round corners": {"engrave": [ZIGZAG], "lead_deg": 10},
+    "leaning round a tight bend": {"engrave": [BEND], "lead_deg": -15, "tilt_deg": 12},
     "upright": {"engrave": [WAVE, ZIGZAG], "axis": "upright"},
     "through curves": {"engrave": [ZIGZAG], "axis": "curves", "axis_curves": [ABOVE]},
 }
@@ -139,10 +141,10 @@ _ALONG, _TIPS = point_cut._along, point_cut.tips
 MIRROR, SWAP = np.array([1.0, -1.0, 1.0]), [1, 0, 2]
 FAULTS: dict[str, tuple[str, Any]] = {
     "shifted": ("_engraving_tool", _tool(lambda t, a: (t + np.array([4e-4, 0.0, 0.0]), a))),
-    "mirrored": ("_along", lambda own: _ALONG(own) * MIRROR),
-    "x and y swapped": ("_along", lambda own: _ALONG(own)[:, SWAP]),
+    "mirrored": ("_along", lambda *given: _ALONG(*given) * MIRROR),
+    "x and y swapped": ("_along", lambda *given: _ALONG(*given)[:, SWAP]),
     "half as long": ("_engraving_tool", _tool(lambda t, a: (t[: len(t) // 2], a[: len(a) // 2]))),
-    "the other way": ("_along", lambda own: _ALONG(own)[::-1]),
+    "the other way": ("_along", lambda *given: _ALONG(*given)[::-1]),
     "half as deep": ("_engraving_tool", _tool(lambda t, a: (t + 0.4e-3 * a, a))),
     "not leant": ("leant", lambda normal, *more: normal),
     "radius not compensated": ("tips", lambda contact, *more: contact),
@@ -152,7 +154,7 @@ FAULTS: dict[str, tuple[str, Any]] = {
     ),
     "first curve twice": (
         "_along",
-        lambda own, real=_ALONG: real(FIRST[0]) if FIRST else FIRST.append(own) or real(own),
+        lambda *given: _ALONG(*FIRST[0]) if FIRST else FIRST.append(given) or _ALONG(*given),
     ),
 }
 FIRST: list[Any] = []

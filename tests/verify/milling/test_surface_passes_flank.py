@@ -21,6 +21,7 @@ from planner.milling.tool_path import Run, ends
 from planner.motion import solve
 from planner.post import write
 from planner.verify.milling import surface_passes
+from planner.verify.milling.tool_motion import in_block
 from planner.verify.prove import Prover
 from tests import line_ends
 from tests.milling.small_mill import WALL, problem
@@ -114,6 +115,35 @@ def test_what_the_planner_lays_keeps_to_the_surface(tmp_path: Path, name: str) -
     own, claim = job(tmp_path, **CASES[name])
     for number, run in enumerate(own.planned.runs):
         assert held(claim, number, parts(own, run)) == []
+
+
+@pytest.mark.parametrize("radii", [(28, 8), (20, 16), (26, 30)])
+def test_a_tool_that_turns_on_its_way_is_off_the_block_at_its_end(
+    tmp_path: Path, radii: tuple[int, int]
+) -> None:
+    """It is behind at its end that goes round less, and drawn back along its axis (verify.mill_path)."""
+    cone = [
+        {"polyline_mm": [[float(r * np.cos(t)), float(r * np.sin(t)), z] for t in TURN]}
+        for r, z in zip(radii, (12, 50), strict=True)
+    ]
+    own, claim = job(tmp_path, part=wall(*cone, closed=True), cuts=[{"flank": "wall"}])
+    cutter, stock = claim.cutter, own.setup.stock
+    for run in own.planned.runs:
+        tip, axis = run.path.tip[[0, -1]], run.path.axis[[0, -1]]
+        assert not in_block(tip, axis, cutter.overhang, cutter.radius, stock).any()
+
+
+def test_a_tool_that_is_drawn_back_may_do_so_fast_from_the_end_of_its_way_on(tmp_path: Path) -> None:
+    """Its first millimetres up counted as its way aside, at the feed: a quick arm's job was not proven."""
+    straight = [{"polyline_mm": [[*p[:2], z] for p in ROUND[0]["polyline_mm"]]} for z in (12, 50)]
+    own, claim = job(tmp_path, part=wall(*straight, closed=True), cuts=[{"flank": "wall"}])
+    (run,) = own.planned.runs
+    found = parts(own, run)
+    tip, axis = found[""]
+    for phase, rows, end in (("_in", [0, 1], 0), ("_out", [-1, -2], -1)):
+        way = surface_passes.ways(claim, 0, (tip[rows], axis[rows]), *found[phase])
+        rise = (found[phase][0] - run.path.tip[end]) @ run.path.axis[end]
+        assert way.up[rise > 0.5e-3].all() and not way.up[rise < -0.5e-3].any()
 
 
 Change = Callable[[FloatArray, FloatArray, MillsFlank], tuple[FloatArray, FloatArray]]

@@ -135,7 +135,7 @@ def gaps(function):
 
 PASSES = "planner.forming.process_plan.passes"
 BY_CORNER = "planner.forming.claims.by_corner"
-VIRGIN = "planner.forming.features.tree.on_virgin_sheet"
+VIRGIN = "planner.forming.stages.on_virgin_sheet"
 BORDER = "planner.forming.claims.border_curve"
 STATES = "planner.forming.claims.states"
 FAULTS = {
