@@ -115,10 +115,12 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
 
 def foam_left(part: CutPart, outwards: FloatArray, result: Path, surface: str) -> tuple[FloatArray, float]:
     """Where (V, 3) [m] the foam of a ``surface`` ends whose normals should be ``outwards`` (V, 3), and what
-    the slot takes of the panel [m], 0 where it is outside of it."""
-    within = dots(np.nan_to_num(part.normals), outwards) < 0.0
-    slot = slot_width(result, surface) if within.any() else 0.0
-    return part.points + slot * np.where(within[:, None], part.normals, 0.0), slot
+    the slot takes of the panel [m], 0 where it is outside of it. One slot is on one side of all of it."""
+    normals = np.nan_to_num(part.normals)
+    if float(dots(normals, outwards).mean()) >= 0.0:
+        return part.points, 0.0
+    slot = slot_width(result, surface)
+    return part.points + slot * normals, slot
 
 
 def slot_width(result: Path, surface: str) -> float:

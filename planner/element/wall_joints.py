@@ -76,7 +76,8 @@ def cut_surfaces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[WallFa
         far, at = cKDTree(points).query(cut)
         if float(np.max(far)) > LARGEST_DEVIATION:
             raise other_panel(path, name, f"what is cut of its {one['name']}")
-        own = normals[at] if float(dots(points - middle, normals).mean()) > 0.0 else -normals[at]
+        looks_out = float((points.mean(axis=0) - middle) @ normals.mean(axis=0)) > 0.0
+        own = normals[at] if looks_out else -normals[at]
         left, slot = cut, 0.0
         if "cut_in" not in panel:  # of a row the parts say no more than points
             left, slot = foam_left(objects[f"cut_{one['name']}"], own, run / name, str(one["name"]))
