@@ -188,7 +188,8 @@ class Client:
         except (OSError, ValueError, http.client.HTTPException) as error:
             raise self._away(error) from error
         said = self._read_json(text)
-        if "version" not in said:
+        numbers = (said.get("api", 1), said.get("api_oldest", 1))
+        if not isinstance(said.get("version"), str) or not all(isinstance(one, int) for one in numbers):
             raise self._answer(self._url, "does not answer as Tandem does; see the address")
         return said
 
@@ -834,7 +835,7 @@ class Client:
     def _read_json(self, text: bytes) -> dict[str, Any]:
         try:
             found = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise self._answer(self._url, "does not answer in JSON; is it a Tandem?") from error
         if not isinstance(found, dict):
             raise self._answer(self._url, "does not answer as Tandem does; is it one?")

@@ -152,6 +152,22 @@ def test_programs_of_another_depth_are_not_proven(alone: Outcome) -> None:
     assert {"verify.gouge", "verify.formed"} & {issue.code for issue in proof.issues}
 
 
+@pytest.mark.parametrize("where", [0.25, 0.5])
+def test_a_loop_that_is_left_out_is_told(alone: Outcome, where: float) -> None:
+    """The ball goes straight from a place to the one a step below it."""
+    (name,) = (key for key in alone.programs if "Cut" in key and "form_f1" in alone.programs[key])
+    lines = alone.programs[name].split("\n")
+    rows = [k for k, line in enumerate(lines) if line.lstrip().startswith("MoveL") and "z" in line]
+    numbers = [re.findall(r"-?\d+\.\d+", lines[k])[:2] for k in rows]
+    turn = np.unwrap([np.arctan2(float(y), float(x)) for x, y in numbers])
+    first = int(where * len(rows))
+    last = int(np.argmax(np.abs(turn[first:] - turn[first]) >= 2.0 * np.pi)) + first
+    kept = [re.sub(r"z\d\w*,", "z0,", line) for k, line in enumerate(lines) if k not in rows[first:last]]
+    proof = pipeline.verify(alone.problem, {**alone.programs, name: "\n".join(kept)})
+    told = [issue.message for issue in proof.issues if issue.code == "verify.formed"]
+    assert any("a whole loop is there" in message for message in told), [str(i) for i in proof.issues]
+
+
 @pytest.mark.long
 def test_a_stepped_path_of_two_tools_is_proven(tmp_path: Path) -> None:
     """Where the ball steps over to the next loop both tools turn sharply."""

@@ -1,11 +1,11 @@
 #! python 3
 """Tandem Result: what became of a job.
 
-In: client, job (str), folder (str).
+In: client, job (str), folder (str), refresh (bool).
 Out: state, issues, planes, joints, names, times, targets, blocks, part, programs, report, replay.
 """
 
 import tandem_grasshopper
 
-found = tandem_grasshopper.result(ghenv, client, job, folder)
+found = tandem_grasshopper.result(ghenv, client, job, folder, refresh)
 state, issues, planes, joints, names, times, targets, blocks, part, programs, report, replay = found

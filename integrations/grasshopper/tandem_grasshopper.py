@@ -112,8 +112,8 @@ def job(
             client.cancel(task.job)
         return _followed(client, task)
 
-    if cancel:
-        _cancel(ghenv, client)
+    if cancel and client is not None:
+        _cancel(ghenv, client.cancel)
     return _buttons(ghenv, client, problem, prepared, ((check, checked), (run, planned)))
 
 
@@ -124,9 +124,10 @@ def divide(
     mesh: Any = None,
     files: Sequence[str] | None = None,
     run: bool | None = False,
+    cancel: bool | None = False,
 ) -> tuple[str, str, list[str]]:
     """Divides a building element when ``run`` goes to true: its id, state, issues. ``mesh`` becomes its
-    surface."""
+    surface. ``cancel`` ends a division that was begun here."""
 
     def prepared() -> tuple[Any, dict[str, Any]]:
         said, sent = _said(element), _sent(files)
@@ -138,14 +139,21 @@ def divide(
 
     def divided(task: Task, said: Any, sent: Mapping[str, Any]) -> dict[str, Any]:
         task.job = client.divide(said, files=sent)
+        if task.cancelled:  # while it was sent
+            client.cancel_element(task.job)
         return _followed(client, task)
 
+    if cancel and client is not None:
+        _cancel(ghenv, client.cancel_element)
     return _buttons(ghenv, client, element, prepared, ((run, divided),))
 
 
-def result(ghenv: Any, client: Any, job: str | None, folder: str | None = None) -> tuple[Any, ...]:
+def result(
+    ghenv: Any, client: Any, job: str | None, folder: str | None = None, refresh: bool | None = False
+) -> tuple[Any, ...]:
     """What became of a job: state, issues, planes at the TCPs, joints [deg], their names, times [s], names of
     targets, planes of the block, the simulated part, programs in ``folder``, links to report and replay.
+    ``refresh`` asks anew: a job that was tried again, links that are over.
 
     Trees have the branches {operation; arm}, joints {operation; arm; joint}, times, targets and blocks
     {operation}.
@@ -153,6 +161,7 @@ def result(ghenv: Any, client: Any, job: str | None, folder: str | None = None) 
     if client is None or not job:
         ghenv.Component.Message = "waits for a client and a job"
         return ("", [], *[None] * 10)
+    _refreshed(ghenv, refresh)
     task = _task(ghenv, ("result", client, job, folder), lambda task: _fetched(client, task, job, folder))
     if task.value is None:
         if task.issues:
@@ -179,10 +188,7 @@ def panels(ghenv: Any, client: Any, element: str | None, refresh: bool | None = 
     if client is None or not element:
         ghenv.Component.Message = "waits for a client and an element"
         return [], [], [], [], []
-    state = scriptcontext.sticky.setdefault(f"{_name(ghenv)} button", Pressed())
-    if (bool(refresh),) != state.was and refresh:
-        _drop(ghenv)
-    state.was = (bool(refresh),)
+    _refreshed(ghenv, refresh)
 
     def fetched(task: Task) -> dict[str, Any]:
         task.job = element
@@ -207,6 +213,14 @@ def panels(ghenv: Any, client: Any, element: str | None, refresh: bool | None = 
     ghenv.Component.Message = f"{len(rows)} panels"
     columns = [[one.get(key) for one in rows] for key in ("id", "order", "state", "job")]
     return columns[0], [task.shown[1].get(name) for name in columns[0]], *columns[1:]
+
+
+def _refreshed(ghenv: Any, refresh: bool | None) -> None:
+    """Forget what a component has fetched when ``refresh`` goes to true."""
+    state = scriptcontext.sticky.setdefault(f"{_name(ghenv)} button", Pressed())
+    if (bool(refresh),) != state.was and refresh:
+        _drop(ghenv)
+    state.was = (bool(refresh),)
 
 
 def _name(ghenv: Any) -> str:
@@ -288,11 +302,11 @@ def _buttons(
     return task.job, ended or task.stage, _lines(found)
 
 
-def _cancel(ghenv: Any, client: Any) -> None:
-    """Cancel the job that a component has begun, once."""
+def _cancel(ghenv: Any, cancel: Callable[[str], Any]) -> None:
+    """Cancel the job that a component has begun, once, by what cancels one of its id."""
     state = scriptcontext.sticky.get(f"{_name(ghenv)} button")
     task = None if state is None else state.task
-    if client is None or task is None or task.done or task.cancelled:
+    if task is None or task.done or task.cancelled:
         return
     task.cancelled = True
     if not task.job:
@@ -300,7 +314,7 @@ def _cancel(ghenv: Any, client: Any) -> None:
 
     def ask() -> None:
         try:
-            client.cancel(task.job)
+            cancel(task.job)
         except tandem_client.TandemError as error:
             task.issues = error.issues
 

@@ -29,6 +29,7 @@ from planner.problem import (
     TILT,
     Arm,
     Cell,
+    LinearAxis,
     Problem,
     RotaryAxis,
     Setup,
@@ -133,7 +134,7 @@ def along(
     bearers = _bearers(model.cell, arm)
     bears = np.array([solid.body in bearers for solid in fixed], bool)
     carries = np.array([solid.body != foot for solid in own], bool)
-    without |= _sliding(model, own, fixed, axis.axis) & carries[:, None] & bears
+    without |= _sliding(model, own, fixed, axis, ends[0]) & carries[:, None] & bears
     floor = Ground.of(model.cell).floor
 
     def at(value: float) -> CellModel:
@@ -372,10 +373,15 @@ def _placed(model: CellModel, solids: Sequence[Solid]) -> FloatArray:
     return np.stack([poses[one.body][0] @ one.shape.pose for one in solids])
 
 
-def _gaps(model: CellModel, riders: list[Solid], fixed: list[Solid]) -> FloatArray:
-    """Distances (R, F) [m], at most 0 where they overlap, between solids."""
+def _gaps(
+    model: CellModel, riders: list[Solid], fixed: list[Solid], gone: FloatArray | None = None
+) -> FloatArray:
+    """Distances (R, F) [m], at most 0 where they overlap, between solids, with riders ``gone`` (3,) [m] from
+    where ``model`` has them."""
     both = [*riders, *fixed]
     placed = _placed(model, both)
+    if gone is not None:
+        placed[: len(riders), :3, 3] += gone
     first, second = (v.ravel() for v in np.indices((len(riders), len(fixed))))
     second = second + len(riders)
     gaps, _, _ = distance.distances(distance.cores(both), first, second, placed[first], placed[second])
@@ -414,18 +420,23 @@ def _borne(
     return np.asarray(under & np.array([solid.body in bodies for solid in fixed]))
 
 
-def _sliding(model: CellModel, riders: list[Solid], fixed: list[Solid], direction: FloatArray) -> BoolArray:
-    """Which fixed shapes riders slide along (R, F) on an axis of a ``direction`` (3,), by how they stand
-    where ``model`` has them: less than :data:`STANDING_GAP_M` apart, with a plane along the way between them,
-    which both keep to their sides of wherever the axis goes. Planes are looked for square to the axes of both
+def _sliding(
+    model: CellModel, riders: list[Solid], fixed: list[Solid], axis: LinearAxis, value: float
+) -> BoolArray:
+    """Which fixed shapes riders slide along (R, F) on an axis, by how they stand where ``model`` has them, at
+    a ``value`` [m] of it: less than :data:`STANDING_GAP_M` apart over all of its range, with a plane along
+    the way between them, which both keep to their sides of wherever the axis goes. Both shapes are convex, so
+    what is as near at both ends of the range is so between. Planes are looked for square to the axes of both
     shapes, and between the way and these. Boxes that overlap are looked at, and so is what stands in the way,
-    as an end stop."""
+    as an end stop, and what the axis leaves behind, as a post beside the way."""
     out = np.zeros((len(riders), len(fixed)), bool)
     if not riders or not fixed:
         return out
-    both = [*riders, *fixed]
+    both, direction = [*riders, *fixed], axis.axis
     kinds, placed = distance.cores(both), _placed(model, both)
-    near = _gaps(model, riders, fixed) < STANDING_GAP_M
+    near = np.ones_like(out)
+    for end in (axis.low, axis.high):
+        near &= _gaps(model, riders, fixed, (end - value) * direction) < STANDING_GAP_M
     for i, j in zip(*np.nonzero(near), strict=True):
         two = [int(i), len(riders) + int(j)]
         own = np.concatenate([placed[k, :3, :3].T for k in two])

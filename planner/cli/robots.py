@@ -95,10 +95,9 @@ def run_add(request: Add) -> None:
     from planner.catalogue.robots import robot_names
     from planner.files import write_whole
     from planner.reading import strict_yaml
-    from planner.reading.opw import fit
+    from planner.reading.opw import fit, own_chain
     from planner.reading.problem import validate
     from planner.reading.robot_file import OwnRobotFile, read_urdf, robot_of
-    from planner.reading.urdf import read_chain
     from planner.report import arm_picture
 
     text = read_urdf(request.urdf)
@@ -108,7 +107,7 @@ def run_add(request: Add) -> None:
         what = f"{name!r} is a robot that is built in; give --name another one"
         raise TandemError(Issue("problem.duplicate_name", what, field="name"))
     _require_own(path)
-    chain = read_chain(text, request.base, request.tip)
+    chain = own_chain(text, request.base, request.tip)
     lines = _stated(request, name, chain, path.parent)
     document = strict_yaml.Document(path, lines, None, b"", file=False)
     spec, issues = validate(OwnRobotFile, lines, document, ())

@@ -287,12 +287,13 @@ CURVE_SPACING: Final = 0.25 * MM
 """Distance [m] of the places at which a curve is laid on the face."""
 
 
-def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> list[Run]:
-    """One run for each curve. Raises ``TandemError`` with codes ``milling.*`` and ``part.guide``."""
+def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> tuple[list[Run], list[Issue]]:
+    """One run for each curve, and notes of the files. Raises ``TandemError`` with codes ``milling.*`` and
+    ``part.guide``."""
     out = []
     faults: list[Issue] = []
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
-    curves, others = _curves(cut, "engrave"), _curves(cut, "axis_curves")
+    (curves, notes), (others, told) = _curves(cut, "engrave"), _curves(cut, "axis_curves")
     if others and len(others) != len(curves):
         what = f"{cut.name}: axis_curves are {len(others)} for {len(curves)} curves; give one for each"
         raise TandemError(Issue("milling.guides", what, field=f"operations.cuts.{cut.name}.axis_curves"))
@@ -312,36 +313,40 @@ def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> l
         )
     if faults:
         raise TandemError(faults)
-    return out
+    return out, [*notes, *told]
 
 
 MOST_CURVES: Final = 500
 """Curves of an engraving at most, those of drawings among them."""
 
 
-def _curves(cut: EngraveCut, key: str) -> list[tuple[FloatArray, str]]:
-    """All curves of a cut, those of drawings one by one, each with its field. Raises ``TandemError``: issues
-    of files, ``part.guide``, ``problem.field`` for too many."""
+def _curves(cut: EngraveCut, key: str) -> tuple[list[tuple[FloatArray, str]], list[Issue]]:
+    """All curves of a cut, those of drawings one by one, each with its field; and notes. Raises
+    ``TandemError``: issues of files, ``part.guide``, ``problem.field`` for too many."""
     out: list[tuple[FloatArray, str]] = []
     faults: list[Issue] = []
+    notes: list[Issue] = []
     for number, spec in enumerate(getattr(cut, key)):
         field = f"operations.cuts.{cut.name}.{key}.{number}"
         try:
             if spec.drawing is None:
-                out.append((_along(guide(spec, None, Path(), field)[0].points), field))
+                own, told = guide(spec, None, Path(), field)
+                out.append((_along(own.points), field))
+                notes += told
                 continue
-            found = spec.drawing.curves(f"{field}.drawing")[0]
+            found, told = spec.drawing.curves(f"{field}.drawing")
         except TandemError as error:
             faults += error.issues
             continue
         out += [(_along(curve.run()), f"{field}.drawing") for curve in found]
+        notes += told
     if faults:
         raise TandemError(faults)
     if len(out) > MOST_CURVES:
         what = f"{cut.name}: {key} are {len(out)} curves with those of drawings; allowed: {MOST_CURVES}"
         hint = "name layers, or divide them among cuts"
         raise TandemError(Issue("problem.field", what, field=f"operations.cuts.{cut.name}.{key}", hint=hint))
-    return out
+    return out, notes
 
 
 def _along(own: FloatArray) -> FloatArray:

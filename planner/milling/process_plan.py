@@ -258,7 +258,9 @@ def work(op: Milling, setup: Setup, part: Part | None) -> Work:
             else:
                 front = _front(part)
                 over = over or Over(front.vertices, front.faces)
-                done.append(_on_front(op, cut, over, front, cutter))
+                made, told = _on_front(op, cut, over, front, cutter)
+                done.append(made)
+                notes += told
         except TandemError as error:
             faults += error.issues
     if faults:
@@ -305,7 +307,9 @@ def _program(op: Milling, cut: GCodeCut, field: str) -> tuple[Done, tuple[Issue,
     return Done(cut, read.runs, None, tolerance), read.notes
 
 
-def _on_front(op: Milling, cut: LinesCut | EngraveCut, over: Over, front: Mesh, cutter: Cutter) -> Done:
+def _on_front(
+    op: Milling, cut: LinesCut | EngraveCut, over: Over, front: Mesh, cutter: Cutter
+) -> tuple[Done, tuple[Issue, ...]]:
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     if isinstance(cut, LinesCut):
         # what the margin leaves out is not made, so it is not wanted either
@@ -316,10 +320,9 @@ def _on_front(op: Milling, cut: LinesCut | EngraveCut, over: Over, front: Mesh, 
                 raise TandemError(milling_face.unreached_issue(cut_name(cut), left, cutter.radius, tolerance))
         runs = tuple(point_cut.line_runs(op, cut, over, cutter, area))
         mesh = front if area is None else milling_face.clipped(front, area)
-        return Done(cut, runs, Face("front", mesh), tolerance)
-    return Done(
-        cut, tuple(point_cut.engraved_runs(op, cut, over, cutter)), None, tolerance, depth=cut.depth_mm * MM
-    )
+        return Done(cut, runs, Face("front", mesh), tolerance), ()
+    engraved, notes = point_cut.engraved_runs(op, cut, over, cutter)
+    return Done(cut, tuple(engraved), None, tolerance, depth=cut.depth_mm * MM), tuple(notes)
 
 
 def _front(part: Part | None) -> Mesh:

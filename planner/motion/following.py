@@ -8,7 +8,7 @@ the tool's way; what is left of them the clock has as it has those of joints.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Final
 
 import numpy as np
@@ -55,10 +55,15 @@ class Unreached:
 
 
 def chosen(
-    scene: Scene, cell: Cell, targets: Targets, arm: str, fault: Callable[[Targets], str]
+    scene: Scene,
+    cell: Cell,
+    targets: Targets,
+    arm: str,
+    judged: Collection[str],
+    fault: Callable[[Targets], str],
 ) -> FloatArray | Unreached:
-    """The values (N,) [m] of the track of an arm by the law whose offset leaves joints most room at a few
-    targets, of those of which ``fault`` says nothing for targets that ride so."""
+    """The values (N,) [m] of the track of an arm by the law whose offset leaves joints of the arms ``judged``
+    most room at a few targets, of those of which ``fault`` says nothing for targets that ride so."""
     track, share = scene.tracks[arm][0], scene.tracks[arm][0].follow or 0.0
     place, gone = along(scene, targets, arm)
     grid = offsets(track, share, place)
@@ -69,7 +74,7 @@ def chosen(
     )
     riding = [dataclasses.replace(few.targets, ride={arm: values[rows]}) for values in laws]
     ridden = [dataclasses.replace(few, targets=own) for own in riding]
-    score = np.array([margin(own, scene.stock[None, None], {}, scene.settings)[0] for own in ridden])
+    score = np.array([margin(own, scene.stock[None, None], {}, scene.settings, judged)[0] for own in ridden])
     tried: list[float] = []
     first = ""
     for k in np.argsort(-score, kind="stable").tolist():

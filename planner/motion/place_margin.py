@@ -5,7 +5,7 @@ postures on the best choice of branches, and how many of them have a free postur
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -30,13 +30,15 @@ def margin(
     stock: FloatArray,
     bases: Mapping[str, FloatArray],
     settings: Settings,
+    judged: Collection[str] | None = None,
 ) -> FloatArray:
     """Least margin (K,) [rad] over all targets for K places (K, 1, 4, 4) of stock and bases, with the best
-    branches."""
+    branches; of the arms ``judged``, or of all."""
     scene = Scene.of(few.cell, few.targets.arms, stock, settings, None, bases)
     margins = {}
     for arm, pose, back in _poses_at(scene, few, stock):
-        margins[arm] = _margins(scene.chains[arm], pose, settings)[0][:, back]
+        if judged is None or arm in judged:
+            margins[arm] = _margins(scene.chains[arm], pose, settings)[0][:, back]
     return np.asarray(choice_scores(margins, few.index).max(axis=1))
 
 

@@ -247,19 +247,14 @@ def stationed(
     out: dict[int, dict[str, float]] = {}
     riding: list[Targets] = []
     for index, own in enumerate(targets):
-        gone: dict[str, float] = {}
-        for name in axes:  # in the order in which programs move them
-            if name in (*own.arms, STOCK):
-                there, axis = problem.stationed({**out, index: at}), axes[name]
-                if isinstance(axis, _Rails) and axis.track.follow is not None:
-                    values = _followed(there, index, own, axis, at, passes)
-                    own = dataclasses.replace(own, ride={name: values})
-                    at, gone = {**at, name: float(values[0])}, {f"{name}{END}": float(values[-1])}
-                else:
-                    at = {**at, **_station(there, index, own, axis, at, passes)}
-        out[index] = {**at, **gone}
-        at = {**at, **{name.removesuffix(END): value for name, value in gone.items()}}
-        riding.append(own)
+        going = [axes[name] for name in axes if name in (*own.arms, STOCK)]  # as programs move them
+        found = _Stood(at, own)
+        if going:
+            found = _placed(problem.stationed({**out, index: at}), index, own, going, at, passes)
+        gone = {name: float(values[-1]) for name, values in found.targets.ride.items()}
+        out[index] = {**found.at, **{f"{name}{END}": value for name, value in gone.items()}}
+        at = {**found.at, **gone}
+        riding.append(found.targets)
     made = problem.stationed(out)
     if passes is None:
         _check_way_home(made, axes, at)
@@ -317,22 +312,48 @@ def _homes(setup: Setup) -> dict[str, FloatArray]:
     return {arm.name: arm.home for arm in setup.cell.arms}
 
 
+@dataclasses.dataclass(frozen=True)
+class _Stood:
+    """Where all axes stand ``at`` before the first target, and the targets with the values of tracks that go
+    along."""
+
+    at: Mapping[str, float]
+    targets: Targets
+
+
+def _placed(
+    problem: Problem,
+    index: int,
+    targets: Targets,
+    axes: Sequence[_Axis],
+    at: Mapping[str, float],
+    passes: Passes | None,
+) -> _Stood:
+    """Where ``axes``, which go there one after the other from ``at``, have a path of the operation; raises
+    ``TandemError`` where there is none. Each is judged by the arms that are placed by then, and by whether
+    those behind it have places, too."""
+    axis, *rest = axes
+    follows = isinstance(axis, _Rails) and axis.track.follow is not None
+    return (_followed if follows else _station)(problem, index, targets, axis, rest, at, passes)
+
+
 def _station(
     problem: Problem,
     index: int,
     targets: Targets,
     axis: _Axis,
+    rest: Sequence[_Axis],
     at: Mapping[str, float],
     passes: Passes | None,
-) -> dict[str, float]:
+) -> _Stood:
     setup = problem.setup_of(index)
     grid = axis.values()
     count = FEW_TARGETS // len(axis.names)  # a positioner has many more values
     few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), count, False)
-    score = margin(few, *axis.placed(problem, setup, grid), problem.settings)
+    score = margin(few, *axis.placed(problem, setup, grid), problem.settings, _judged(targets, rest))
     before = np.array([at[name] for name in axis.names])
     tried: list[FloatArray] = []
-    first = ""
+    first: str | Issue = ""
     for k in _order(grid, score, before, axis.apart):
         if len(tried) >= MOST_PATHS * len(axis.names):
             break
@@ -340,26 +361,62 @@ def _station(
         if near and (grid[k] != before).any():
             continue
         tried.append(grid[k])
-        value = _named(axis, grid[k])
-        fault = _fault(problem, index, targets, axis, at, value, passes)
-        if not fault:
-            return value
-        first = first or fault  # of the value that was thought best
+        found = _try(problem, index, targets, axis, rest, at, _named(axis, grid[k]), passes)
+        if isinstance(found, _Stood):
+            return found
+        first = first or found  # of the value that was thought best
+    if isinstance(first, Issue):
+        raise TandemError(first)
     if first == NO_PATH:
         first = _in_the_way(*_there(problem, index, targets, at, _named(axis, tried[0])))
     raise TandemError(_nowhere(problem, index, axis, grid, score, tried, first))
+
+
+def _try(
+    problem: Problem,
+    index: int,
+    targets: Targets,
+    axis: _Axis,
+    rest: Sequence[_Axis],
+    at: Mapping[str, float],
+    value: Mapping[str, float],
+    passes: Passes | None,
+) -> _Stood | Issue | str:
+    """Where axes stand with ``axis`` at a value; else what comes too near on its way there, why there is no
+    place for the ``rest``, or that there is no path."""
+    if any(value[name] != at[name] for name in axis.names) and passes is None:
+        enough = problem.settings.clearance + WAY_ROOM_M
+        way = axis.way(problem.setup_of(index), at, value, enough)
+        if not way.clear:
+            return f"on the way there {_near(way)}"
+    here = {**at, **value}
+    if rest:
+        try:
+            there = problem.stationed({**problem.stations, index: here})
+            return _placed(there, index, targets, rest, here, passes)
+        except TandemError as error:
+            return error.issues[0]
+    scene, own = _there(problem, index, targets, at, value)
+    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
+    return _Stood(here, targets) if free else NO_PATH
+
+
+def _judged(targets: Targets, rest: Sequence[_Axis]) -> tuple[str, ...]:
+    """The arms of targets that stand where they are to work, when only the axes of ``rest`` do not."""
+    return tuple(arm for arm in targets.arms if all(axis.name != arm for axis in rest))
 
 
 def _followed(
     problem: Problem,
     index: int,
     targets: Targets,
-    axis: _Rails,
+    axis: _Axis,
+    rest: Sequence[_Axis],
     at: Mapping[str, float],
     passes: Passes | None,
-) -> FloatArray:
-    """The values (N,) [m] of a track that goes along in an operation, with which there is a way to the first
-    one and a path."""
+) -> _Stood:
+    """The values of a track that goes along in an operation, with which there is a way to the first one and a
+    path."""
     scene, name = _scene(problem, index, targets), problem.operations[index].name
     slides = following.slides(scene, targets, axis.name)
     if slides > following.MOST_SLIDE_M:
@@ -367,18 +424,29 @@ def _followed(
         what += f"{axis.unit}, which goes along by nominal poses; allowed are "
         what += f"{following.MOST_SLIDE_M / MM:g} mm; leave them out, or take follow out of the track"
         raise TandemError(Issue("problem.track", what, arm=axis.name, field=f"operations.{index}"))
+    kept: list[_Stood] = []
+    others: list[Issue] = []
 
     def fault(riding: Targets) -> str:
         values = riding.ride[axis.name]
         start = {axis.name: float(values[0])}
-        found = _fault(problem, index, riding, axis, at, start, passes)
+        found = _try(problem, index, riding, axis, rest, at, start, passes)
         if found == NO_PATH:
             return _in_the_way(*_there(problem, index, riding, at, start))
-        return found or ("" if passes is not None else _base_fault(problem, index, axis, at, values))
+        if isinstance(found, str):
+            return found
+        if isinstance(found, Issue):
+            others.append(found)
+            return found.message
+        kept.append(found)
+        return "" if passes is not None else _base_fault(problem, index, axis, found.at, values)
 
-    found = following.chosen(scene, problem.setup_of(index).cell, targets, axis.name, fault)
+    cell, judged = problem.setup_of(index).cell, _judged(targets, rest)
+    found = following.chosen(scene, cell, targets, axis.name, judged, fault)
     if not isinstance(found, following.Unreached):
-        return found
+        return kept[-1]
+    if others:
+        raise TandemError(others[0])
     from_to = f"{found.best[0] / MM:g} to {found.best[-1] / MM:g} mm"
     what = f"operation {name}: {axis.what} reaches not all of it while {axis.unit} goes along, within "
     what += f"{axis.ranges} mm; from {from_to} it reaches most"
@@ -399,7 +467,7 @@ def _followed(
 
 
 def _base_fault(
-    problem: Problem, index: int, axis: _Rails, at: Mapping[str, float], values: FloatArray
+    problem: Problem, index: int, axis: _Axis, at: Mapping[str, float], values: FloatArray
 ) -> str:
     """What the base itself comes too near to while it goes along with ``values`` (N,) [m]; the rest of the
     arm is looked at as it works."""
@@ -451,34 +519,19 @@ def _scene(problem: Problem, index: int, targets: Targets, model: plant.CellMode
     return Scene.of(setup.cell, targets.arms, _place(setup), problem.settings, model)
 
 
-def _fault(
-    problem: Problem,
-    index: int,
-    targets: Targets,
-    axis: _Axis,
-    at: Mapping[str, float],
-    value: Mapping[str, float],
-    passes: Passes | None,
-) -> str:
-    """Why an axis cannot stand at a value; empty where it can."""
-    if any(value[name] != at[name] for name in axis.names) and passes is None:
-        enough = problem.settings.clearance + WAY_ROOM_M
-        way = axis.way(problem.setup_of(index), at, value, enough)
-        if not way.clear:
-            return f"on the way there {_near(way)}"
-    scene, own = _there(problem, index, targets, at, value)
-    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
-    return "" if free else NO_PATH
-
-
 def _near(way: AxisWay) -> str:
     """Which bodies come too near on a way, and what may be so near where it begins."""
     if axis_way.FLOOR in way.pair and way.least < 0.0:
         return f"{way.pair[0]} {SUNK}"
     said = f"{' and '.join(way.pair)} come as near as {max(way.least, 0.0) / MM:.1f} mm"
-    if len(way.looked) == 1 and any(name.endswith("/base_link") for name in way.pair):
+    if len(way.looked) > 1:
+        return said
+    if any(name.endswith("/base_link") for name in way.pair):
         said += ", where it begins; a base may touch what it stands on, where each shape of that ends below "
-        said += "its foot"
+        return f"{said}its foot"
+    if set(way.pair) & set(way.looked[0].poses):
+        said += ", where it begins; what bears a body that is carried is less than "
+        said += f"{axis_way.STANDING_GAP_M / MM:g} mm beside it over all of the axis' range"
     return said
 
 
@@ -530,14 +583,11 @@ def _nowhere(
     else:
         kind = "track" if len(axis.names) == 1 else "axes"
         hint = f"split the operation, as an arm stands while it works ({best}), or make the {kind} longer"
-        arms = problem.cell.arms
-        able = (
-            len(arms) == 1
-            and arms[0].track is not None
-            and arms[0].data.family in AXES_WRITTEN
-            and arms[0].sag is None
-        )
-        if able and all(map(any_base, problem.operations)):
+        own = problem.cell.arm(axis.name)
+        beside = any(problem.cell.arm(other).follows for other in problem.operations[index].arms)
+        held = any(setup.stock.held_by == own.name for setup in problem.setups)
+        able = own.track is not None and not own.track.carries and own.sag is None and not (beside or held)
+        if able and all(any_base(one) for one in problem.operations if own.name in one.arms):
             hint += ", or let it go along while the arm works (track: follow: 1)"
     arm = None if table else axis.name
     return Issue("motion.station", what, arm=arm, hint=hint, field=f"operations.{index}")

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.cell import axis_way
+from planner.cell.axis_way import Travel
 from planner.claims.claim import HoldsStock
 from planner.claims.vocabulary import Handshake, Segment
 from planner.geometry import corner_rounding
@@ -130,6 +131,7 @@ def build(plan: Plan, problem: Problem) -> Job:
     homes = {arm.name: _outer(arm, problem.cell, problem.homes) for arm in arms}
     builder = _Builder([arm.name for arm in arms], handshake, problem.settings, homes)
     loads = carries(plan, problem)
+    travels = axis_way.travels(problem, plan.places)
     parts = [
         builder.operation(
             i,
@@ -137,6 +139,7 @@ def build(plan: Plan, problem: Problem) -> Job:
             setups[i],
             plan.places[setups[i].number - 1],
             loads.get(i, {}),
+            travels[i : i + 2],
             problem.closing if i + 1 == len(problem.operations) else None,
         )
         for i, operation in enumerate(plan.operations)
@@ -188,10 +191,12 @@ class _Builder:
         setup: Setup,
         place: FloatArray,
         loads: Mapping[str, Carry],
+        travels: Sequence[Mapping[str, Travel]],
         closing: Setup | None = None,
     ) -> dict[str, OperationProgram]:
         """The operation's program for each task; ``loads``: what arms carry from its beginning on;
-        ``closing``: how the cell stands behind it, where external axes go home."""
+        ``travels`` of external axes before it and behind it, by their names, if there are any; ``closing``:
+        how the cell stands behind it, where external axes go home."""
         targets = plan.targets
         _check(plan, self.handshake is None)
         frames = _frames(plan, setup)
@@ -231,7 +236,7 @@ class _Builder:
                 self._alone(arm, [*look, home], f"{arm} stands at home")
         if opened:
             self._setup(setup)
-        self._stations(stands, arms, setup.cell)
+        self._stations(stands, arms, setup.cell, travels[0] if travels else {})
         for arm, carry in loads.items():
             self.steps[arm].append(carry)
         from_home = number > 0 or opened
@@ -261,7 +266,7 @@ class _Builder:
         if closing is not None:
             self._setup(closing, "all work is done")
             ends = {arm: _outer(arms[arm], closing.cell, closing.stands) for arm in self.arms}
-            self._stations(ends, arms, closing.cell)
+            self._stations(ends, arms, closing.cell, travels[1])
         ids = np.arange(1, len(keep) + 1)
         return {
             arm: OperationProgram(
@@ -280,16 +285,24 @@ class _Builder:
             for arm in self.arms
         }
 
-    def _stations(self, stands: Mapping[str, Outer | None], arms: Mapping[str, Arm], cell: Cell) -> None:
+    def _stations(
+        self,
+        stands: Mapping[str, Outer | None],
+        arms: Mapping[str, Arm],
+        cell: Cell,
+        travels: Mapping[str, Travel],
+    ) -> None:
         """External axes that stand elsewhere go to where they are to stand, arm after arm, folded, those of a
-        gantry or positioner one after the other."""
+        gantry or positioner one after the other; for as long the other arm waits."""
         for arm in self.arms:
             station, before, table = stands[arm], self.stands[arm], _table(arms[arm], cell)
             if station is not None and before is not None and station != before:
                 legs = _legs(before, station, arms[arm], table)
                 steps = [Joints(arms[arm].home, "station", station=leg) for leg in legs]
                 what = arm if table is None else "the block"
-                self._alone(arm, steps, f"{what} stands at its station")
+                names = arms[arm].rails if table is None else table.axes
+                seconds = sum(travels[name].seconds for name in names if name in travels)
+                self._alone(arm, steps, f"{what} stands at its station", seconds)
                 self.stands[arm] = station
 
     def _setup(self, setup: Setup, reached: str = "") -> None:
@@ -309,10 +322,12 @@ class _Builder:
             for arm in self.arms:
                 self.steps[arm].append(Meet(self.meets, reached, 0.0 if arm == by else seconds))
 
-    def _alone(self, arm: str, steps: Sequence[Step], reached: str) -> None:
+    def _alone(self, arm: str, steps: Sequence[Step], reached: str, seconds: float = 0.0) -> None:
+        """What one arm does while the others wait: ``seconds``, and those that its actions state."""
         if steps:
             self.steps[arm] += steps
-            self._meet(reached, sum(step.action.seconds for step in steps if isinstance(step, Do)), arm)
+            seconds += sum(step.action.seconds for step in steps if isinstance(step, Do))
+            self._meet(reached, seconds, arm)
 
     def _at_once(self, ways: Mapping[str, Sequence[FloatArray]], place: str, last: str | None = None) -> None:
         """All arms through their stations, move by move, in a synchronised block, from the first one on; what

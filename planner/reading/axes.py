@@ -66,7 +66,7 @@ class TurntableFile(Strict):
         Vector, Field(description="growing values turn by the right hand about it: straight up or down")
     ] = (0.0, 0.0, 1.0)
     range_deg: Annotated[tuple[float, float], Field(description="least and largest value")]
-    speed_deg_s: Annotated[float, Field(gt=0, le=720, description="its highest")]
+    speed_deg_s: Annotated[float, Field(ge=0.1, le=720, description="its highest")]
     home_deg: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
     plate: TurntablePlateFile
 
@@ -86,8 +86,8 @@ class TiltFile(Strict):
         Vector, Field(description="growing values tilt by the right hand about it; any but upright")
     ]
     range_deg: Annotated[tuple[float, float], Field(description="least and largest value, with 0 in it")]
-    speed_deg_s: Annotated[float, Field(gt=0, le=720, description="its highest")]
-    acceleration_deg_s2: Annotated[float, Field(gt=0, le=10_000, description="its highest")]
+    speed_deg_s: Annotated[float, Field(ge=0.1, le=720, description="its highest")]
+    acceleration_deg_s2: Annotated[float, Field(ge=0.1, le=10_000, description="its highest")]
     home_deg: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
     bracket: Annotated[
         tuple[Name, ...],
@@ -103,7 +103,7 @@ class PositionerFile(TurntableFile):
     external_axis: Annotated[
         int, Field(ge=1, le=6, description="of the turn axis among the targets' external axes")
     ] = 2
-    acceleration_deg_s2: Annotated[float, Field(gt=0, le=10_000, description="highest of the turn axis")]
+    acceleration_deg_s2: Annotated[float, Field(ge=0.1, le=10_000, description="highest of the turn axis")]
     load_kg: Annotated[Positive | None, Field(description="the most that it carries")] = None
     tilt: TiltFile
 

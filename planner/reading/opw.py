@@ -26,7 +26,7 @@ from planner.cell.kinematics import flange_poses, form_jacobian
 from planner.geometry.arrays import FloatArray, from_parts, from_rpy, inverse, log_rotation
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.reading.urdf import SNAP_STEP, UrdfChain, limit_faults
+from planner.reading.urdf import SNAP_STEP, CoupledError, UrdfChain, limit_faults, read_chain
 
 AXES_MEET: Final = 3e-3
 """Axes count as meeting, to tell the class of an arm, that pass each other this near [m] ..."""
@@ -86,6 +86,24 @@ def fit(chain: UrdfChain) -> ArmFit:
             )
         )
     return ArmFit(form, off, _apart(chain.tip(q, written=True), tip))
+
+
+def own_chain(text: str, base: str, tip: str | None) -> UrdfChain:
+    """As :func:`planner.reading.urdf.read_chain`; of joints that follow others it is told, too, where the arm
+    with these fixed is of a class that is not planned for."""
+    try:
+        return read_chain(text, base, tip)
+    except CoupledError as error:
+        found = _class_of(error.chain.axis, error.chain.zero[1:-1, :3, 3], error.chain)
+        if found is None:
+            raise
+        what, hint = found
+        first, *rest = error.issues
+        said = (
+            f"{first.message.rpartition('; ')[0]}; fixed, it leaves {what}: {hint}; of a parallel rod give "
+        )
+        said += "the serial arm and its coupled_deg"
+        raise TandemError([dataclasses.replace(first, message=said), *rest]) from None
 
 
 def _first_off(chain: UrdfChain, form: ArmForm) -> str:

@@ -18,6 +18,10 @@ LEAST_AXIS: Final = 1e-9
 """Directions shorter than this have none."""
 LEAST_TRACK_MM: Final = 50.0
 """Shorter ranges [mm] of linear axes are taken for metres."""
+MOST_TRACK_MM: Final = 100_000.0
+"""Values [mm] of linear axes are no farther from 0."""
+LEAST_RATE: Final = 1.0
+"""Slower axes [mm/s, mm/s^2] are none: their ways would take hours."""
 LEAST_ANGLE: Final = 5.0 * DEG
 """Least angle [rad] between the directions of two axes of a gantry, and of one to the plane of two others."""
 MOST_KRL_LABEL: Final = 27
@@ -188,11 +192,16 @@ def _faults(spec: LinearAxisFile) -> list[tuple[str, str]]:
     elif high - low < LEAST_TRACK_MM:
         what = f"it goes from {low:g} to {high:g} mm, and no track is shorter than {LEAST_TRACK_MM:g} mm; "
         out.append(("range_mm", f"{what}values are mm: 3 m are 3000"))
+    elif max(-low, high) > MOST_TRACK_MM:
+        what = (
+            f"it goes from {low:g} to {high:g} mm; allowed are values up to {MOST_TRACK_MM:g} mm either way; "
+        )
+        out.append(("range_mm", f"{what}let 0 be where the work is, and the range no longer than it takes"))
     elif not low <= spec.home_mm <= high:
         out.append(("home_mm", f"{spec.home_mm:g} is outside the range of {low:g} to {high:g}"))
     for name, value in (("speed_mm_s", spec.speed_mm_s), ("acceleration_mm_s2", spec.acceleration_mm_s2)):
-        if not value > 0.0:
-            out.append((name, f"got {value:g}; allowed: above 0"))
+        if not value >= LEAST_RATE:
+            out.append((name, f"got {value:g}; allowed: {LEAST_RATE:g} at least; values are mm: 1 m is 1000"))
     return out
 
 
@@ -265,19 +274,18 @@ def _in_one(axes: Sequence[GantryAxisFile]) -> list[tuple[str, str, str]]:
 
 
 def check_units(arms: Sequence[Arm], controller: Controller) -> None:
-    """Each arm has units of its own under it, and no body rides on two axes. Raises ``TandemError``:
-    ``problem.duplicate_name``, ``problem.field``, and ``problem.track`` for arms that meet by signals."""
-    taken = {name.lower(): f"the robot {name}" for name in controller.units[: len(arms)]}
-    riding: dict[str, str] = {}
+    """On each controller units have names of their own, and no body rides on two axes. Raises
+    ``TandemError``: ``problem.duplicate_name``, ``problem.field``."""
+    robots = {name.lower(): f"the robot {name}" for name in controller.units[: len(arms)]}
+    taken, riding = dict(robots), dict[str, str]()
     for number, arm in enumerate(arms):
         kind = "track" if arm.track is not None else "gantry"
+        if controller.sync == "handshake":  # each arm has a controller of its own
+            name = controller.units[number]
+            taken = {name.lower(): robots[name.lower()]}
         own: dict[str, str] = {}
         for place, rail in enumerate(arm.axes):
             field = f"arms.{number}.{'track' if arm.track is not None else f'axes.{place}'}"
-            if controller.sync == "handshake":
-                what = f"arm {arm.name} stands on a {kind}; with two controllers (handshake) that is not "
-                what += "written yet; use one controller (sync: multimove), or an arm of its own"
-                raise TandemError(Issue("problem.track", what, field=field, arm=arm.name))
             if rail.unit.lower() in taken:
                 what = f"the unit {rail.unit} is that of {taken[rail.unit.lower()]}, too; give each "
                 what += f"{kind} its own"
@@ -314,28 +322,38 @@ def carrying_faults(problem: Problem) -> list[Issue]:
 
 
 def following_faults(problem: Problem) -> list[Issue]:
-    """What cannot be worked at while the track of an arm goes along (``problem.track``)."""
+    """What cannot be worked at while the tracks of arms go along (``problem.track``)."""
     out: list[Issue] = []
-    number = next((k for k, arm in enumerate(problem.cell.arms) if arm.follows), None)
-    if number is None:
-        return out
-    arm, field = problem.cell.arms[number], f"cell.arms.{number}.track.follow"
-
-    def told(what: str, field: str = field) -> None:
-        out.append(Issue("problem.track", what, field=field, arm=arm.name))
-
-    if len(problem.cell.arms) > 1:
-        told(
-            f"the track of arm {arm.name} goes along while it works, which is written for one arm alone; the "
-            f"cell has {len(problem.cell.arms)}; take follow out, so that it stands then, or the other arm"
-        )
-    if any(setup.stock.held_by == arm.name for setup in problem.setups):
-        told(f"arm {arm.name} holds the block, and its track cannot go along then; take follow out")
-    for index, operation in enumerate(problem.operations):
-        if not any_base(operation):
-            told(
-                f"operation {operation.name}: {operation.process} is worked at standing; milling and targets "
-                "take a track that goes along; take follow out of the track for the others",
-                f"operations.{index}",
+    riders = {
+        arm.name: f"cell.arms.{k}.track.follow" for k, arm in enumerate(problem.cell.arms) if arm.follows
+    }
+    for name, field in riders.items():
+        if any(setup.stock.held_by == name for setup in problem.setups):
+            what = f"arm {name} holds the block, and its track cannot go along then; take follow out"
+            out.append(Issue("problem.track", what, field=field, arm=name))
+    for index, operation in enumerate(problem.operations if riders else ()):
+        own = [name for name in operation.arms if name in riders]
+        if own and not any_base(operation):
+            what = f"operation {operation.name}: {operation.process} is worked at standing; milling and "
+            what += "targets take a track that goes along; take follow out of the track for the others"
+            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
+        elif own and len(operation.arms) > 1 and problem.cell.controller.sync == "handshake":
+            what = (
+                f"operation {operation.name}: with two controllers (handshake) one arm may be a step ahead "
             )
+            what += (
+                f"of the other one, and the proof has bases stand then; {own[0]} goes along with its track; "
+            )
+            what += (
+                "take follow out, so that it stands, use one controller (sync: multimove), or give each arm "
+            )
+            what += "an operation of its own"
+            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
+        elif len(own) > 1:
+            what = (
+                f"operation {operation.name}: the tracks of {' and '.join(own)} go along, and two bases that "
+            )
+            what += "go at once are not held apart yet; take follow out of one of them, or give each arm an "
+            what += "operation of its own"
+            out.append(Issue("problem.track", what, field=f"operations.{index}", arm=own[0]))
     return out

@@ -25,6 +25,7 @@ from planner.reading.cad_faces import CadFace, Refusals, Way, between_sides, fac
 from planner.reading.drawing import (
     CAD_INSTALL,
     FLATNESS,
+    LARGEST,
     MOST_BYTES,
     MOST_CURVES,
     FileCurve,
@@ -46,7 +47,9 @@ UNITS: Final = {
     "Feet": 0.3048,
     "Yards": 0.9144,
 }
-"""Rhino's names of units, in metres; a file in another one wants its unit stated."""
+"""Rhino's names of units, in metres; files in others are refused."""
+UNSAID: Final = ("None", "Unset", "CustomUnits")
+"""Units of files that say none, whose unit the problem may state."""
 SAME_UNIT: Final = 1e-9
 """Share by which units may differ that are one."""
 EDGE_PLACES: Final = 9
@@ -124,7 +127,13 @@ def curves(spec: RhinoFile, folder: Path, field: str) -> tuple[list[FileCurve], 
             f"has {len(found.objects)} curves{spec.asked()}, {MOST_CURVES} are read; name a layer, or join "
         )
         raise refused("part.rhino", found.path, field, what + "them (_Join)")
-    pieces = [_curve(one, found, field).chords(FLATNESS) for one in found.objects]
+    own = [_curve(one, found, field) for one in found.objects]
+    points = np.concatenate([one.control[:, :3] / one.control[:, 3:] for one in own])
+    across = float(np.ptp(points, axis=0).max())
+    if across > LARGEST:  # their points would be too many
+        what = f"is {across:.4g} m across, up to {LARGEST:g} m are read; see the unit, or clear stray curves"
+        raise refused("part.rhino", found.path, field, what)
+    pieces = [one.chords(FLATNESS) for one in own]
     return joined([piece for piece in pieces if len(piece) > 1]), list(found.notes)
 
 
@@ -224,6 +233,9 @@ def _unit(model: Any, spec: RhinoFile, path: Path, field: str) -> tuple[float, l
     said = str(model.Settings.ModelUnitSystem).rpartition(".")[2]
     own = UNITS.get(said)
     stated = None if spec.unit is None else LENGTH_UNITS[spec.unit]
+    if own is None and said not in UNSAID:
+        what = f"is in {said.lower()}, which is no unit that is read; change it in Rhino (_Units)"
+        raise refused("part.rhino", path, field, what)
     if own is None and stated is None:
         what = f"says no unit that is known ({said}); state it (unit: mm), or set it in Rhino (_Units)"
         raise refused("part.rhino", path, field, what)

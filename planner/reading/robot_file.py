@@ -117,11 +117,11 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     """The robot of a file; names start at ``folder``. Raises :class:`TandemError` as
     :func:`planner.reading.urdf.read_chain` and :func:`planner.reading.opw.fit`, ``robot.bodies`` for bodies
     that are not known, ``problem.field`` for lines that contradict one another."""
-    from planner.reading.opw import fit  # with kinematics, which problems without such arms are read without
+    from planner.reading.opw import fit, own_chain  # with kinematics, which other problems are read without
 
     path = folder / spec.urdf
     text = read_urdf(path)
-    chain = read_chain(text, spec.base, spec.tip)
+    chain = own_chain(text, spec.base, spec.tip)
     found = fit(chain)
     issues = [*_key_faults(spec, chain, found.form)]
     if spec.home_deg is not None and (short := posture_fault(spec.home_deg, found.form.count)):

@@ -96,11 +96,21 @@ class UrdfChain:
         return np.asarray(pose)
 
 
+class CoupledError(TandemError):
+    """Joints of a chain follow others (mimic), which is all that is wrong with it; ``chain``: with these
+    fixed."""
+
+    def __init__(self, issues: Sequence[Issue], chain: UrdfChain) -> None:
+        super().__init__(issues)
+        self.chain = chain
+
+
 def read_chain(text: str, base: str, tip: str | None) -> UrdfChain:
     """The chain from the link ``base`` to the link ``tip``, the first of :data:`TIPS` where it is None.
 
     Raises :class:`TandemError` with all faults: ``robot.urdf`` for what is no URDF, ``robot.chain`` for a
-    chain that an arm cannot have, ``robot.limits`` for joints without a range or a speed.
+    chain that an arm cannot have (:class:`CoupledError` for joints that follow others), ``robot.limits`` for
+    joints without a range or a speed.
     """
     root = _root(text)
     links = _links(root)
@@ -113,7 +123,12 @@ def read_chain(text: str, base: str, tip: str | None) -> UrdfChain:
     way = _way(above, base, tip)
     issues = list(_faults(way))
     if issues:
-        raise TandemError(issues)
+        following = [joint for joint in way if joint.find("mimic") is not None]
+        if len(issues) > len(following):
+            raise TandemError(issues)
+        for joint in following:
+            joint.set("type", "fixed")
+        raise CoupledError(issues, _chain(root, way, above, base, tip))
     return _chain(root, way, above, base, tip)
 
 

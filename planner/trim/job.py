@@ -13,6 +13,7 @@ of the sheet; a knife it may spin a little, as it stands along its curve and squ
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from pathlib import Path
 from typing import Final
@@ -33,7 +34,7 @@ from planner.trim import check
 from planner.trim.claims import claims
 from planner.trim.cutting import Cutting, Trimmer, cutting, mounted
 from planner.trim.face import Face, lay
-from planner.trim.operation import Trim, every_outline
+from planner.trim.operation import Trim, every_outline, outline_notes
 from planner.trim.pace import too_slow
 from planner.trim.route import route
 from planner.trim.route_targets import targets_of
@@ -134,7 +135,8 @@ class TrimJob(Job[Trim]):
         cut = [Hole(w.spec.name, w.laid.point[:, :2], w.spec.drops == "inside") for w in free]
         drawn = sheet.stages is not None and not self.brief
         left = shown(self.formed, (*sheet.holes, *cut), op.name) if drawn else {}
-        return targets_of(op, self.setup, self.tool, tool, made, wanted, way, self.claims(), left)
+        found = targets_of(op, self.setup, self.tool, tool, made, wanted, way, self.claims(), left)
+        return found if self.brief else dataclasses.replace(found, issues=tuple(outline_notes(op)))
 
     def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
         """Slots in which the arm is slower on average than the operation allows."""

@@ -297,7 +297,9 @@ CIRCLE_POINTS: Final = 720
 """Points of a circle."""
 MOST_OUTLINES: Final = 500
 """Curves of an operation at most, those of drawings among them."""
-_READ: dict[tuple[str, int, int], tuple[FloatArray, ...]] = {}
+_Curves = tuple[tuple[FloatArray, ...], tuple[Issue, ...]]
+"""Points of curves, and what is to be told of their file."""
+_READ: dict[tuple[str, int, int], _Curves] = {}
 """Curves by all that is stated of them, and by when their file was written and how long it is: a drawing may
 be changed while a process goes on."""
 MOST_READ: Final = 1000
@@ -313,15 +315,11 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
     """
     out: list[tuple[OutlineFile, FloatArray]] = []
     for one in op.outlines:
-        key = one.model_dump_json(), *_written(one)
-        if key not in _READ:
-            while len(_READ) >= MOST_READ:
-                _READ.pop(next(iter(_READ)))
-            _READ[key] = (outline_points(one),) if one.drawing is None else _drawn(one, one.drawing)
+        curves, _ = _read(one)
         if one.drawing is None:
-            out.append((one, _READ[key][0]))
+            out.append((one, curves[0]))
             continue
-        for number, points in enumerate(_READ[key], 1):
+        for number, points in enumerate(curves, 1):
             out.append((one.model_copy(update={"name": f"{one.name}_{number}"}), points))
     known: dict[str, str] = {}
     for own, _ in out:
@@ -343,6 +341,30 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
     return out
 
 
+def outline_notes(op: Trim) -> list[Issue]:
+    """What is to be told of the outlines' files, of one that several read once: what is left out of them, and
+    that they state another unit. Raises ``TandemError`` as :func:`every_outline`."""
+    known: dict[tuple[str, str], Issue] = {}
+    for one in op.outlines:
+        for note in _read(one)[1]:
+            known.setdefault((note.code, note.message), note)
+    return list(known.values())
+
+
+def _read(one: OutlineFile) -> _Curves:
+    """The curves of an outline, read once. Raises ``TandemError`` as :func:`every_outline`."""
+    key = one.model_dump_json(), *_written(one)
+    if key not in _READ:
+        while len(_READ) >= MOST_READ:
+            _READ.pop(next(iter(_READ)))
+        if one.drawing is None:
+            points, notes = outline_points(one)
+            _READ[key] = (points,), tuple(notes)
+        else:
+            _READ[key] = _drawn(one, one.drawing)
+    return _READ[key]
+
+
 def _written(one: OutlineFile) -> tuple[int, int]:
     """When the file of an outline was written, and its length; of one without a file nothing."""
     own = one.drawing or (None if one.curve is None else one.curve.dxf)
@@ -353,19 +375,20 @@ def _written(one: OutlineFile) -> tuple[int, int]:
     return (0, 0) if found is None else (found.st_mtime_ns, found.st_size)
 
 
-def _drawn(one: OutlineFile, drawing: DrawingFile) -> tuple[FloatArray, ...]:
+def _drawn(one: OutlineFile, drawing: DrawingFile) -> _Curves:
     """The curves of a drawing, layer by layer. Raises ``TandemError``: issues of files, ``trim.open``."""
     path, field = Path(drawing.file), f"operations.outlines.{one.name}.drawing"
     out: list[FloatArray] = []
     issues: list[Issue] = []
-    for curve in drawing.curves(field)[0]:
+    curves, notes = drawing.curves(field)
+    for curve in curves:
         name = f"{one.name}_{len(out) + 1}"
         if not curve.closed:
             issues.append(_open(f"{path.name}: {name}", curve.points, field))
         out.append(curve.points)
     if issues:
         raise TandemError(issues)
-    return tuple(out)
+    return tuple(out), tuple(notes)
 
 
 def _open(name: str, points: FloatArray, field: str) -> Issue:
@@ -378,19 +401,20 @@ def _open(name: str, points: FloatArray, field: str) -> Issue:
     return Issue("trim.open", what, field=field, value=gap, limit=0.01, unit="mm", hint=hint)
 
 
-def outline_points(one: OutlineFile) -> FloatArray:
-    """Points (K, 2 or 3) [m] of an outline that is one curve. Raises ``TandemError``: issues of files,
-    ``part.guide``."""
+def outline_points(one: OutlineFile) -> tuple[FloatArray, list[Issue]]:
+    """Points (K, 2 or 3) [m] of an outline that is one curve, and notes. Raises ``TandemError``: issues of
+    files, ``part.guide``."""
     if one.circle is not None:
         around = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
         ring = np.stack([np.cos(around), np.sin(around)], axis=1)
-        return np.asarray((np.array(one.circle.at_mm) + 0.5 * one.circle.diameter_mm * ring) * MM)
+        return np.asarray((np.array(one.circle.at_mm) + 0.5 * one.circle.diameter_mm * ring) * MM), []
     field = f"operations.outlines.{one.name}"
     curve = one.curve
     if curve is None:
         raise ValueError("an outline is a curve or a circle")
     _require_closed(curve, field)
-    return guide(curve, True, Path(), field)[0].points
+    found, notes = guide(curve, True, Path(), field)
+    return found.points, notes
 
 
 def _require_closed(curve: GuideFile, field: str) -> None:

@@ -450,14 +450,15 @@ class Context:
         based = self.bases_by_setup
         of_stage = self.spans.of_stage
         rows = ([based[i] for i in of_stage], [tools[i] for i in of_stage])
-        made = replay(self.job, *rows, self._travels(), [self.riding[i] for i in of_stage])
+        made = replay(self.job, *rows, self.travels, [self.riding[i] for i in of_stage])
         arms = [self._bending(index) for index in range(len(self.setups))]
         if not any(arms):
             return made
         of_node = self.spans.of_stage[made.node_stage]
         return bending.bent(made, arms, np.asarray(of_node[made.node]), of_node)
 
-    def _travels(self) -> dict[int, float]:
+    @cached_property
+    def travels(self) -> dict[int, float]:
         """{identity of a move: time [s]} of the moves that take an external axis elsewhere, by the speed that
         the text gives it: from rest to rest, ramps at the axis' own acceleration."""
         out: dict[int, float] = {}

@@ -24,19 +24,37 @@ LEAST_NORMAL = 1e-3
 """Planes along a way are square to parts of axes of shapes that are no shorter."""
 
 
-def slides(one: tuple[Shape, FloatArray], two: tuple[Shape, FloatArray], way: FloatArray) -> bool:
-    """Whether a plane along a ``way`` (3,) lies between two shapes at their poses (4, 4), of which the one
-    slides along the other: less than a bearing's gap apart, across the plane, and nowhere through it."""
+def slides(
+    one: tuple[Shape, FloatArray],
+    two: tuple[Shape, FloatArray],
+    way: FloatArray,
+    goes: tuple[float, float],
+) -> bool:
+    """Whether the one of two shapes at their poses (4, 4), which ``goes`` so far [m] back and forth along a
+    ``way`` (3,) from there, slides along the other, which bears it: a plane along the way lies between them,
+    less than a bearing's gap apart across it and nowhere through it, and at either end of the way they are no
+    farther apart than that along the plane, across the way and along it. What the one only passes, or leaves
+    behind, does not bear it."""
+    past = _past(one, two, way)
+    if max(past + goes[1], _past(two, one, way) - goes[0]) >= axis_way.STANDING_GAP_M:
+        return False
     axes = np.concatenate([pose[:3, :3].T for _, pose in (one, two)])
     for normal in (*np.cross(axes, way), *np.cross(np.cross(axes, way), way)):
         length = float(np.linalg.norm(normal))
         if length < LEAST_NORMAL:
             continue
         n = normal / length
-        past = max(-reach(*one, -n) - reach(*two, n), -reach(*two, -n) - reach(*one, n))
-        if -SAME_WAY <= past < axis_way.STANDING_GAP_M:
+        m = np.cross(way, n)
+        across, beside = (max(_past(one, two, u), _past(two, one, u)) for u in (n, m))
+        if -SAME_WAY <= across < axis_way.STANDING_GAP_M and beside < axis_way.STANDING_GAP_M:
             return True
     return False
+
+
+def _past(one: tuple[Shape, FloatArray], two: tuple[Shape, FloatArray], line: FloatArray) -> float:
+    """How far [m] a shape begins behind the end of another along a line (3,), less than 0 where it begins
+    before it."""
+    return -reach(*one, -line) - reach(*two, line)
 
 
 def nearer(

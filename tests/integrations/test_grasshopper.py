@@ -72,7 +72,7 @@ def client(url: str) -> Any:
 
 def pressed(name: str, button: str = "run", **inputs: Any) -> tuple[Component, dict[str, Any]]:
     """A component after its button was pressed, and what it gives in the end."""
-    buttons = {"job": ("check", "run", "cancel"), "divide": ("run",)}[name]
+    buttons = {"job": ("check", "run", "cancel"), "divide": ("run", "cancel")}[name]
     given = {"mesh": None, "files": None, **({"curves": None} if name == "job" else {}), **inputs}
     component = Component(name, Document())
     component.solve(**given, **dict.fromkeys(buttons, False))
@@ -93,7 +93,7 @@ def job(module: ModuleType, url: str, tmp_path_factory: pytest.TempPathFactory) 
 
 def test_a_result_comes_in_the_unit_of_the_document(canvas: Any, url: str, job: str, tmp_path: Path) -> None:
     component = Component("result", Document())
-    given = {"client": client(url), "job": job, "folder": str(tmp_path)}
+    given = {"client": client(url), "job": job, "folder": str(tmp_path), "refresh": False}
     found = component.settle(**given)
     assert (found["state"], found["issues"]) == ("verified", [])
     assert component.longest_s < SOLUTION_S
@@ -238,7 +238,9 @@ def test_a_job_is_cancelled(canvas: Any, url: str, tmp_path: Path) -> None:
         time.sleep(0.02)
     found = component.settle(**given, run=False, cancel=True)
     assert found["state"] == "cancelled"
-    result = Component("result", Document()).settle(client=given["client"], job=found["job"], folder=None)
+    result = Component("result", Document()).settle(
+        client=given["client"], job=found["job"], folder=None, refresh=False
+    )
     assert (result["state"], result["report"], result["planes"].branches) == ("cancelled", None, {})
 
 
@@ -252,22 +254,47 @@ class Sending:
         self.go.wait(20.0)
         return "a"
 
+    divide = submit
+
     def cancel(self, job: str) -> None:
         self.cancelled.append(job)
+
+    def cancel_element(self, element: str) -> None:
+        self.cancelled.append(f"element {element}")
 
     def wait(self, job: str, progress: Any) -> dict[str, Any]:
         return {"state": "cancelled" if self.cancelled else "verified", "issues": []}
 
 
-def test_a_job_that_is_still_being_sent_is_cancelled(canvas: Any) -> None:
+@pytest.mark.parametrize(
+    ("name", "inputs", "sent"),
+    [
+        ("job", {"problem": "{}", "curves": None, "check": False}, "a"),
+        ("divide", {"definition": "{}"}, "element a"),
+    ],
+)
+def test_what_is_still_being_sent_is_cancelled(canvas: Any, name: str, inputs: Any, sent: str) -> None:
     service = Sending()
-    given = {"client": service, "problem": "{}", "mesh": None, "curves": None, "files": None, "check": False}
-    component = Component("job", Document())
+    given = {"client": service, "mesh": None, "files": None, **inputs}
+    component = Component(name, Document())
     for run, cancel in ((False, False), (True, False), (False, True), (False, False)):
         component.solve(**given, run=run, cancel=cancel)
     service.go.set()
     assert component.settle(**given, run=False, cancel=False)["state"] == "cancelled"
-    assert service.cancelled == ["a"]
+    assert service.cancelled == [sent]
+
+
+def test_a_job_that_was_tried_again_is_asked_for_anew(canvas: Any) -> None:
+    service = Sending()
+    service.report_url = service.replay_url = lambda job: None
+    given = {"client": service, "job": "a", "folder": None}
+    service.cancelled.append("a")
+    component = Component("result", Document())
+    assert component.settle(**given, refresh=False)["state"] == "cancelled"
+    service.wait = lambda job, progress: {"state": "refused", "issues": []}
+    assert component.settle(**given, refresh=False)["state"] == "cancelled", "as it was asked for"
+    component.solve(**given, refresh=True)
+    assert component.settle(**given, refresh=False)["state"] == "refused"
 
 
 def test_panels_of_an_element_are_meshes_of_the_document(canvas: Any, url: str) -> None:
@@ -313,7 +340,7 @@ def test_a_service_that_is_silent_holds_no_canvas(canvas: Any) -> None:
         given = {"mesh": None, "curves": None, "files": None, "check": False, "cancel": False}
         for run in (False, True, False):
             job.solve(client=service, problem=problem(), run=run, **given)
-        Component("result", Document()).solve(client=service, job="a", folder=None)
+        Component("result", Document()).solve(client=service, job="a", folder=None, refresh=False)
         assert (len(connect.document.scheduled), len(job.document.scheduled)) == (1, 2)
         assert max(connect.longest_s, job.longest_s) < SOLUTION_S
 
@@ -367,7 +394,7 @@ def test_they_run_by_the_python_of_rhino(url: str, tmp_path: Path) -> None:
         "given.update(mesh=None, curves=None, check=False, cancel=False);"
         "job.solve(run=False, **given); job.solve(run=True, **given);"
         "made = job.settle(run=False, **given)['job'];"
-        "found = one('result').settle(client=client, job=made, folder=None);"
+        "found = one('result').settle(client=client, job=made, folder=None, refresh=False);"
         "print(sys.version_info[:2], found['state'], len(found['planes'].branches[0, 0]))"
     )
     command = [python, "-I", "-S", "-W", "error", "-c", code, str(Path(rhino_host.__file__).parent), url]

@@ -60,7 +60,7 @@ def cut(folder: Path, *engrave: dict[str, Any], **fields: Any) -> EngraveCut:
 def test_planner_and_proof_run_the_curves_alike(tmp_path: Path) -> None:
     pattern(tmp_path)
     own = cut(tmp_path, {"drawing": {"file": "pattern.3dm", "layers": ["lines"]}})
-    ours = [points for points, _ in point_cut._curves(own, "engrave")]
+    ours = [points for points, _ in point_cut._curves(own, "engrave")[0]]
     theirs = [1e-3 * np.array(one.points_mm) for one in each_curve(tuple(c.drawn() for c in own.engrave))]
     assert len(ours) == len(theirs) == 3
     begins = [(-30, -10), (-20, -12), (24, -15)]

@@ -58,7 +58,9 @@ WRONG = [
     ({"axis": [0, 0, 0]}, {}, "its length is 0"),
     ({"range_mm": [3000, -3000]}, {}, "the least value first"),
     ({"range_mm": [100, 100]}, {}, "the least value first"),
-    ({"speed_mm_s": 0}, {}, "speed_mm_s: got 0; allowed: above 0"),
+    ({"speed_mm_s": 0}, {}, "speed_mm_s: got 0; allowed: 1 at least"),
+    ({"speed_mm_s": 1e-9}, {}, "speed_mm_s: got 1e-09; allowed: 1 at least"),  # programs were not proven
+    ({"range_mm": [0, 1e9]}, {}, "allowed are values up to 100000 mm either way"),
     ({"acceleration_mm_s2": -1}, {}, "acceleration_mm_s2: got -1"),
     ({"home_mm": 3001}, {}, "outside the range"),
     ({"range_mm": [-3, 3]}, {}, "values are mm: 3 m are 3000"),
@@ -95,21 +97,22 @@ def test_all_faults_of_a_track_are_told_at_once(tmp_path: Path) -> None:
     assert len(found) == 3
 
 
-@pytest.mark.parametrize(
-    ("controller", "code"), [({}, "problem.duplicate_name"), ({"sync": "handshake"}, "problem.track")]
-)
-def test_two_arms_on_one_unit_and_two_controllers_are_refused(
-    tmp_path: Path, controller: dict[str, Any], code: str
-) -> None:
+def test_arms_on_one_controller_have_units_of_their_own(tmp_path: Path) -> None:
+    """On two controllers each may be called alike, but for its own robot."""
     problem(tmp_path)
     path = tmp_path / "problem.yaml"
     data = yaml.safe_load(path.read_text())
     data["cell"]["arms"].append({**ARM, "name": "right", "base": {"xyz_mm": [3000, 0, 0]}})
-    data["cell"]["controller"] = controller
-    path.write_text(yaml.safe_dump(data))
-    with pytest.raises(TandemError) as refused:
-        planner.load(path)
-    assert {issue.code for issue in refused.value.issues} == {code}
+
+    def load(**controller: Any) -> planner.Problem:
+        path.write_text(yaml.safe_dump({**data, "cell": {**data["cell"], "controller": controller}}))
+        return planner.load(path)
+
+    assert [arm.axes[0].unit for arm in load(sync="handshake").cell.arms] == ["TRACK_1", "TRACK_1"]
+    for controller in ({}, {"sync": "handshake", "units": ["ROB_1", "TRACK_1"]}):
+        with pytest.raises(TandemError) as refused:
+            load(**controller)
+        assert {issue.code for issue in refused.value.issues} == {"problem.duplicate_name"}
 
 
 # ---- tracks that go along ----
@@ -133,7 +136,7 @@ def test_a_track_goes_along_by_a_share_of_the_way(tmp_path: Path, share: float) 
     assert any("follow" in message for _, message in told(tmp_path, {**TRACK, "follow": share}))
 
 
-def test_one_arm_alone_goes_along_and_only_in_work_that_takes_it(tmp_path: Path) -> None:
+def test_a_track_goes_along_only_in_work_that_takes_it(tmp_path: Path) -> None:
     made = problem(tmp_path, {**TRACK, "follow": 1})
     assert "and goes along while the arm works" in made.setups[0].steps[-1]
     assert rails.following_faults(made) == []
@@ -141,16 +144,6 @@ def test_one_arm_alone_goes_along_and_only_in_work_that_takes_it(tmp_path: Path)
     (fault,) = rails.following_faults(dataclasses.replace(made, operations=(trimmed, made.operations[0])))
     assert fault.code == "problem.track" and fault.field == "operations.0"
     assert "trim is worked at standing" in fault.message
-    path = tmp_path / "problem.yaml"
-    data = yaml.safe_load(path.read_text())
-    other = {**ARM, "name": "right", "base": {"xyz_mm": [3000, 0, 0]}}
-    del other["track"]
-    data["cell"]["arms"].append(other)
-    path.write_text(yaml.safe_dump(data))
-    with pytest.raises(TandemError) as refused:
-        planner.load(path)
-    (issue,) = refused.value.issues
-    assert issue.code == "problem.track" and "one arm alone" in issue.message
 
 
 # ---- turntables ----

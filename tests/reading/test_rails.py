@@ -87,7 +87,7 @@ WRONG: list[tuple[Any, str, str]] = [
     ([BRIDGE, {**LIFT, "range_mm": [200, 200]}], "problem.field", "the least value first"),
     ([BRIDGE, {**LIFT, "range_mm": [-0.3, 0.9]}], "problem.field", "values are mm: 3 m are 3000"),
     ([BRIDGE, {**LIFT, "home_mm": 901}], "problem.field", "901 is outside the range of -300 to 900"),
-    ([BRIDGE, {**LIFT, "speed_mm_s": 0}], "problem.field", "speed_mm_s: got 0; allowed: above 0"),
+    ([BRIDGE, {**LIFT, "speed_mm_s": 0}], "problem.field", "speed_mm_s: got 0; allowed: 1 at least"),
     ([BRIDGE, {**LIFT, "acceleration_mm_s2": 0}], "problem.field", "acceleration_mm_s2: got 0"),
     (
         [BRIDGE, {**LIFT, "name": "Bridge"}],

@@ -45,7 +45,8 @@ def refusal(read: Any) -> str:
 @pytest.mark.parametrize("unit", UNITS)
 def test_curves_are_as_rhino_has_them_in_its_unit(tmp_path: Path, unit: str) -> None:
     circle = rhino3dm.NurbsCurve.CreateFromCircle(rhino3dm.Circle(rhino3dm.Point3d(1, 2, 3), 4.0))
-    for one in (circle, curve(LOWER), curve(LOWER, degree=1)):
+    short = 0.3 * np.array(LOWER)  # 90 m of metres
+    for one in (circle, curve(short), curve(short, degree=1)):
         saved(tmp_path, one, unit=unit)
         (found,), notes = rhino.curves(RhinoFile(file="part.3dm"), tmp_path, "part")
         assert unit.lower() in notes[0].message
@@ -225,6 +226,13 @@ def test_units_are_the_files_and_nothing_is_guessed(tmp_path: Path) -> None:
     (found,), notes = rhino.curves(RhinoFile(file="part.3dm", unit="cm"), tmp_path, "part")
     assert np.ptp(found.points[:, 0]) == pytest.approx(3.0)
     assert notes[0].message == "part.3dm is in cm"
+    saved(tmp_path, curve(LOWER), unit="Miles")
+    for unit in (None, "mm"):  # a file that says another unit than those that are read was taken for mm
+        told = refusal(lambda own=unit: rhino.curves(RhinoFile(file="part.3dm", unit=own), tmp_path, "part"))
+        assert "is in miles, which is no unit that is read" in told
+    saved(tmp_path, curve(LOWER), curve(np.array(LOWER) + 1e6 * np.eye(3)[2]))
+    told = refusal(lambda: rhino.curves(RhinoFile(file="part.3dm"), tmp_path, "part"))
+    assert "is 1000 m across, up to 100 m are read; see the unit" in told
 
 
 def test_faces_that_are_not_ruled_or_not_one_are_refused(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from planner.cell.kinematics import flange_poses
 from planner.geometry.arrays import exp_rotation, from_parts, from_rpy
 from planner.issues import TandemError
 from planner.motion.planning_scene import inverse_kinematics
-from planner.reading.opw import fit
+from planner.reading.opw import fit, own_chain
 from planner.reading.urdf import read_chain
 from tests import urdf_text
 
@@ -325,6 +325,24 @@ def test_bad_files_are_refused_in_words_and_what_is_advised_helps(code, words, g
     assert {issue.code for issue in issues} == {code}
     assert words in str(issues[0])
     assert max(made(TEXT)[1].off) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("", "fixed, it leaves an arm with five axes: "),
+        ('<joint name="k" type="revolute"><parent link="l6"/><child link="t"/></joint>', "fix it, or give"),
+    ],
+)
+def test_what_a_joint_that_follows_leaves_is_told_at_once(more, said):
+    """Fixed as was advised, some arms were refused for their class then."""
+    text = TEXT.replace(END, '<link name="t"/>' + more.replace("</joint>", f"{AXIS}{LIMIT}</joint>") + END)
+    mimic = '<mimic joint="j5"/></joint>'
+    joint = text[text.index('<joint name="k"' if more else '<joint name="j6"') :].split("</joint>")[0]
+    with pytest.raises(TandemError) as caught:
+        own_chain(text.replace(f"{joint}</joint>", joint + mimic), "base_link", "t" if more else None)
+    (issue,) = caught.value.issues
+    assert issue.code == "robot.chain" and "(mimic)" in issue.message and said in issue.message
 
 
 @pytest.mark.parametrize(

@@ -458,6 +458,15 @@ def test_a_client_that_is_too_old_is_told(odd: tuple[type[Odd], str]) -> None:
     assert tandem_client.Client(url).job("a") == {}
 
 
+@pytest.mark.parametrize("health", [b'{"version": "9.0", "api": "x"}', b'{"version": 9}', b"[" * 100_000])
+def test_what_answers_otherwise_than_any_tandem_is_told(odd: tuple[type[Odd], str], health: bytes) -> None:
+    """The first and the last broke off with an error of Python's own."""
+    kind, url = odd
+    kind.health = health
+    (issue,) = refusal(lambda: tandem_client.Client(url).job("a"))
+    assert issue.code == "service.answer" and url in issue.message
+
+
 def test_a_service_that_is_too_old_is_told_where_it_matters(odd: tuple[type[Odd], str]) -> None:
     kind, url = odd
     kind.health = b'{"status": "ok", "version": "0.1.0", "workers": 1, "queued": 0, "running": 0}'

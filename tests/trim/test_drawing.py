@@ -31,7 +31,7 @@ CIRCLES = ((0.0, 0.0, 8.0), (20.0, 0.0, 3.0), (-20.0, 0.0, 3.0))
 
 def drawing(folder: Path, unit: float = 1.0, extra: Any = None) -> None:
     """Three circles on CUT, a square of four lines on SLOTS, and a line on NOTES, in 1/unit mm."""
-    made = ezdxf.new()
+    made = ezdxf.new(units=0)
     space = made.modelspace()
     for x, y, r in CIRCLES:
         space.add_circle((x / unit, y / unit), r / unit, dxfattribs={"layer": "CUT"})
@@ -88,6 +88,29 @@ def test_planner_and_proof_read_the_same_curves(tmp_path: Path, unit: str, mm: f
     for (_, points), one in zip(planned, read, strict=True):
         spans = [np.ptp(ring[:, :2], axis=0) for ring in (points, drawn(one))]
         assert spans[0] == pytest.approx(spans[1], abs=5e-6)
+
+
+def test_what_is_left_out_of_a_drawing_and_another_unit_are_told(tmp_path: Path) -> None:
+    """Once of all layers of one file, as of outlines of plates (nothing was said)."""
+
+    def more(space: Any) -> None:
+        space.add_text("no. 7", dxfattribs={"layer": "CUT"})
+        space.add_circle((0, -20), 3, dxfattribs={"layer": "CUT", "invisible": 1})
+        space.doc.header["$INSUNITS"] = 1
+
+    drawing(tmp_path, extra=more)
+    one = {"name": "b", "curve": {"dxf": {"file": "one.dxf", "unit": "mm"}}}
+    single = ezdxf.new(units=1)
+    single.modelspace().add_circle((0, -20), 2)
+    single.saveas(tmp_path / "one.dxf")
+    found = job(tmp_path, outline(), one).targets().issues
+    assert sorted((note.code, str(note.severity)) for note in found) == [
+        *[("part.dxf_left_out", "note")] * 2,
+        *[("part.dxf_unit", "warning")] * 2,
+    ]
+    (told, other) = [note for note in found if note.code == "part.dxf_unit"]
+    assert "apertures.dxf says that its lengths are in in ($INSUNITS)" in told.message
+    assert other.field == "operations.outlines.b.dxf"
 
 
 def test_a_drawing_that_was_changed_is_read_anew(tmp_path: Path) -> None:

@@ -337,6 +337,11 @@ FORMING: Final = (
         "spif",
         {"forming.process_plan:Work.options": result(lambda o: of(o, stepdown=_scaled(1.6)))},
     ),
+    Fault(
+        "form_level_left_out",
+        "spif",
+        {"forming.paths.contact_path:constant_levels": result(lambda z: np.delete(z, len(z) // 2))},
+    ),
     Fault("form_half_the_depth", "spif", {"forming.paths.contact_path:make_path": _half_path}),
     Fault(
         "form_thickness_lost",

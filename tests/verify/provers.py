@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
+from planner import processes
+from planner.pipeline import Outcome
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
 from tests.verify import held_job, krl_job, small_job, straight_job
@@ -21,3 +24,9 @@ def prover(job: str) -> Prover:
 def broken(proof: Proof) -> set[str]:
     """Codes of the rules that ran and are broken."""
     return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
+
+
+def prover_of(outcome: Outcome) -> Prover:
+    """The prover of a planned job that knows nothing of where its plan has external axes stand."""
+    made = dataclasses.replace(outcome.problem, stations={})
+    return Prover(made, processes.claims(made))

@@ -37,7 +37,7 @@ CORNER_GAP = 1e-5
 """Where one level is formed alone, places to which no ball comes nearer than this [m] are not of it: in a
 corner that goes down aslant the nearest ball touches the walls beside it at other heights. These walls are
 asked up to there, and a ball that passes them has been in the corner."""
-_CONTOUR_STEP = 0.0005
+CONTOUR_STEP = 0.0005
 """Places along a contour are so far apart [m] at most."""
 _NEIGHBOURS = 16
 """Pieces of a way with the nearest middles to a point, of which the nearest is taken."""
@@ -83,7 +83,7 @@ def envelope(one: Swept) -> CutFace:
         points = parts.mean(axis=1)
         del parts
     else:
-        points, area, owner = _along_contour(corners, one.contour)
+        points, area, owner, _ = along_contours(corners, np.array([one.contour]), CONTOUR_STEP)
     off = swept(one, points) - claim.radius
     allowed = claim.scallop[rows[owner]]
     # where no ball of its size comes nearer, that is what is left there
@@ -112,25 +112,36 @@ def envelope(one: Swept) -> CutFace:
     )
 
 
-def _along_contour(corners: FloatArray, height: float) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Places (N, 3) along the contour of triangles (T, 3, 3) at a height z [m], what way (N,) [m] each stands
-    for, and the triangles (N,) that they are on."""
-    above = corners[:, :, 2] > height
-    crossed = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
+def along_contours(
+    corners: FloatArray, heights: FloatArray, step: float
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+    """Places (N, 3) along the contours of triangles (T, 3, 3) at heights z (H,) [m], at most ``step`` [m]
+    apart; what way (N,) [m] each stands for, the triangles (N,) that they are on, and the heights' rows."""
+    order = np.argsort(heights)
+    z = corners[:, :, 2]
+    # a corner on a height is not above it
+    first, last = (np.searchsorted(heights[order], ends) for ends in (z.min(axis=1), z.max(axis=1)))
+    count = last - first
+    crossed = np.repeat(np.arange(len(corners)), count)
+    level = order[
+        np.repeat(first, count) + np.arange(len(crossed)) - np.repeat(np.cumsum(count) - count, count)
+    ]
+    height = heights[level]
+    above = z[crossed] > height[:, None]
     ends = []
     for one, two in ((0, 1), (1, 2), (2, 0)):
         a, b = corners[crossed, one], corners[crossed, two]
-        cuts = above[crossed, one] != above[crossed, two]
+        cuts = above[:, one] != above[:, two]
         share = (height - a[:, 2]) / np.where(cuts, b[:, 2] - a[:, 2], 1.0)
         ends.append(np.where(cuts[:, None], a + share[:, None] * (b - a), np.nan))
     all_ends = np.stack(ends, axis=1)
     two_ends = all_ends[np.isfinite(all_ends[:, :, 0])].reshape(-1, 2, 3)
     way = lengths(two_ends[:, 1] - two_ends[:, 0])
-    count = np.maximum(np.ceil(way / _CONTOUR_STEP).astype(np.int64), 1)
-    row = np.repeat(np.arange(len(count)), count)
-    share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[row]
+    pieces = np.maximum(np.ceil(way / step).astype(np.int64), 1)
+    row = np.repeat(np.arange(len(pieces)), pieces)
+    share = (np.arange(len(row)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[row]
     points = two_ends[row, 0] + share[:, None] * (two_ends[row, 1] - two_ends[row, 0])
-    return points, (way / count)[row], crossed[row]
+    return points, (way / pieces)[row], crossed[row], level[row]
 
 
 def obj(forming: Forming) -> str:

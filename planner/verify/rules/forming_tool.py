@@ -22,6 +22,7 @@ from planner.verify.context import FEED_SLACK, Begin, Context, Outcome, at_node,
 from planner.verify.forming.face import Face
 from planner.verify.forming.reached import Depths, largest_step, on_ways, while_forming
 from planner.verify.forming.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
+from planner.verify.forming.steps_down import LOOP_SHARE, emptiest
 from planner.verify.forming.swept import Head, HeadWay, Inside, insides, least, levels
 from planner.verify.result import CutFace
 from planner.verify.wire.cut_surface import divided
@@ -74,8 +75,8 @@ def gouge(context: Context, forming: Forming) -> Outcome:
 def formed(
     context: Context, forming: Forming, envelopes: Iterator[CutFace]
 ) -> tuple[Outcome, tuple[CutFace, ...]]:
-    """The forming ball reaches all of a face but a stated share, within the scallop, is off it for no more
-    than a tenth of its way, and nothing is formed that is not claimed.
+    """The forming ball reaches all of a face but a stated share, within the scallop, goes all around it every
+    stated step, is off it for no more than a tenth of its way, and nothing is formed that is not claimed.
 
     ``envelopes``: what the ball leaves of each face.
     """
@@ -100,6 +101,14 @@ def formed(
                 f"steps of its path leave there, {leave}; wanted: {100 * claim.share:g} %"
             )
             issues.append(_of_face("verify.formed", what, claim.segment, face.share, claim.share))
+        window = emptiest(one, forming.steps(one)) if one.level is None else None
+        if window is not None and window.share < LOOP_SHARE:
+            what = (
+                f"from {mm(window.begin):.2f} to {mm(window.end):.2f} mm below the flat around "
+                f"{claim.segment} the ball goes along {mm(window.way):.1f} mm of its walls, which are "
+                f"{mm(window.contour):.1f} mm around there; by the stated steps a whole loop is there"
+            )
+            issues.append(_of_face("verify.formed", what, claim.segment, window.share, LOOP_SHARE))
         lifted = _lifted(one)
         if lifted > LIFTED_SHARE:
             what = (

@@ -283,8 +283,8 @@ def _rider_into(
     """What the base of an arm, or what rides with it, may come nearer to than ``limit`` [m] on a way that
     looks found clear; ``at``: where all axes are before it. For the base shapes of obstacles that end below
     its foot are left out: below a plane along the way, in which the foot stays; for what is carried those
-    of obstacles that it slides along, beside such a plane. What goes up or down keeps off the floor at both
-    ends, on which a base may stand."""
+    of obstacles that it slides along, beside such a plane, over all of the axis' range. What goes up or down
+    keeps off the floor at both ends, on which a base may stand."""
     arm, foot = model.cell.arm(str(axis.arm)), f"{axis.arm}/base_link"
     line = np.array(axis.way)
     names = list(arm.rails)
@@ -325,13 +325,15 @@ def _rider_into(
     )
     bears = {body.name for body in model.cell.obstacles}  # no block or support, nor what others carry
     bears -= {name for two in model.cell.arms if two != arm for on in two.axes for name in on.carries}
+    here = way.looked[0].value
+    goes = axis.low - here, axis.high - here  # over all of its range, not only on this way
     left_out = np.zeros((len(own), len(still)), bool)
     for i, one in enumerate(own):
         if one.body == foot:
             left_out[i] = low
         else:
             left_out[i] = [
-                two.body in bears and slides((one.shape, begin[i]), (two.shape, pose), line)
+                two.body in bears and slides((one.shape, begin[i]), (two.shape, pose), line, goes)
                 for two, pose in zip(still, there, strict=True)
             ]
     if abs(line[2]) > LEVEL:

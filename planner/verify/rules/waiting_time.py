@@ -44,6 +44,8 @@ SLOW_FACTOR = 2.0
 """With a hot wire a move may take this many times as long as at the lowest feed..."""
 RAMP_TIME = 5.0
 """...and so much longer [s]: moves that are short or turn a tool take what their ramps take."""
+TRAVEL_SPARE = 1.0
+"""Waits for external axes may be so much [s] shorter than what their ways add: texts have rounded speeds."""
 ISSUES_SHOWN = 50
 """Issues of one task at most."""
 
@@ -303,8 +305,8 @@ def _ways(context: Context, arm: str, lever: float) -> FloatArray:
 @rule("verify.meeting_time")
 def meeting_time(context: Context) -> Outcome:
     """Where tasks meet they wait for each other without a limit of time, which would end a run whenever
-    somebody takes longer to answer; two controllers wait as long as the problem says, and while the other one
-    asks somebody no less than for its patience."""
+    somebody takes longer to answer. Two controllers wait as long as the problem says: while the other one
+    asks somebody no less than for its patience, while it takes axes elsewhere for so long besides."""
     issues = []
     for task in context.job.tasks:
         for point in sync_points(task):
@@ -328,10 +330,12 @@ def _answers(context: Context) -> Iterator[Issue]:
         asks = _intervals(other, theirs, _asks)
         midway = asks.copy() if other.script is not None else set[int]()
         asks |= _intervals(other, theirs, _moves) - _intervals(task, mine, _moves)
-        most = max(handshake.patience, handshake.timeout) + 1.0 + _busy(other)
+        travels = _travels(context, other, theirs)
+        most = max(handshake.patience, handshake.timeout) + 1.0 + _busy(other) + sum(travels.values())
         watched = job.wiring(context.problem).watches.get(task.name, frozenset())
         for step, interval in _meetings(task, mine, handshake.kind, watched, midway):
             least = handshake.patience if interval in asks else min(handshake.timeout, handshake.patience)
+            least += max(travels.get(interval, 0.0) - TRAVEL_SPARE, 0.0)
             if step.seconds is None:
                 what = f"{task.name} may wait for {step.signal} for ever; state a limit"
                 yield at_step(MEETING_TIME, what, task, step)
@@ -344,6 +348,16 @@ def _answers(context: Context) -> Iterator[Issue]:
 def _intervals(task: TaskText, reading: Reading, chosen: Callable[[Step], bool]) -> set[int]:
     """Intervals between meetings in which a program has such steps."""
     return {n for n, step in zip(reading.interval, task.steps, strict=True) if chosen(step)}
+
+
+def _travels(context: Context, task: TaskText, reading: Reading) -> dict[int | None, float]:
+    """How long [s] a task takes external axes elsewhere, by intervals between meetings."""
+    out: dict[int | None, float] = {}
+    for number, step in zip(reading.interval, task.steps, strict=True):
+        seconds = context.travels.get(id(step), 0.0)
+        if seconds > 0.0:
+            out[number] = out.get(number, 0.0) + seconds
+    return out
 
 
 def _meetings(

@@ -146,7 +146,10 @@ FAULTS: dict[str, tuple[str, Any]] = {
     "half as deep": ("_engraving_tool", _tool(lambda t, a: (t + 0.4e-3 * a, a))),
     "not leant": ("leant", lambda normal, *more: normal),
     "radius not compensated": ("tips", lambda contact, *more: contact),
-    "curve left out": ("engraved_runs", lambda *given, real=point_cut.engraved_runs: real(*given)[:-1]),
+    "curve left out": (
+        "engraved_runs",
+        lambda *given, real=point_cut.engraved_runs: (real(*given)[0][:-1], []),
+    ),
     "first curve twice": (
         "_along",
         lambda own, real=_ALONG: real(FIRST[0]) if FIRST else FIRST.append(own) or real(own),

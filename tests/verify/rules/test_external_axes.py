@@ -8,7 +8,6 @@ import re
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.cell import axis_way, distance
 from planner.cell.kinematics import forward
 from planner.problem import Obstacle
@@ -17,6 +16,7 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes
 from tests import track_job
+from tests.verify.provers import prover_of
 
 HERE = "-500.0000"
 """The first station as the text has it."""
@@ -24,8 +24,7 @@ HERE = "-500.0000"
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    made = dataclasses.replace(track_job.planned().problem, stations={})  # nothing of the plan
-    return Prover(made, processes.claims(made))
+    return prover_of(track_job.planned())
 
 
 def test_where_arms_stand_follows_from_the_text_within_a_micrometre(prover: Prover) -> None:

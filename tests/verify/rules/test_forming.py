@@ -194,17 +194,29 @@ def test_more_mutants_are_caught(kind):
     assert all(faults(kind, seed) for seed in range(1, 9))
 
 
-def test_a_dropped_stretch_of_targets_is_a_gouge_or_a_lost_gap():
-    """Both tools go straight where the dish is round; the moves are as long in time."""
-    texts = job.programs()
-    rows = segment(texts, "form_f1")[40:58]
+def dropped(texts, rows):
+    """Without the targets ``rows`` of both tools."""
     for task in TASKS:
         here = texts[name("Cut1", task)].split("\n")
         places = moves(texts, task)
         gone = {places[k] for k in rows}
         texts = {**texts, name("Cut1", task): "\n".join(row for i, row in enumerate(here) if i not in gone)}
-    texts = timed(texts, rows[0], 20.0)
+    return texts
+
+
+def test_a_dropped_stretch_of_targets_is_a_gouge_or_a_lost_gap():
+    """Both tools go straight where the dish is round; the moves are as long in time."""
+    rows = segment(job.programs(), "form_f1")[40:58]
+    texts = timed(dropped(job.programs(), rows), rows[0], 20.0)
     assert "verify.gap" in broken(prover().prove(texts, last="verify.gap"))
+
+
+def test_a_dropped_turn_between_others_that_leave_the_stated_ridges_is_told():
+    """Turns are as far apart along the wall as ridges of the stated height let them be; one is left out."""
+    rows = segment(job.programs(), "form_f1")[72 * 4 : 72 * 5]
+    proof = prover().prove(dropped(job.programs(), rows), last="verify.formed")
+    told = [issue.message for issue in proof.issues if issue.code == "verify.formed"]
+    assert any("by the stated steps a whole loop is there" in message for message in told), told
 
 
 CLAIMS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,16 @@ import pytest
 
 import planner
 from planner.cell import axis_way
+from planner.cell.bodies import Solid
 from planner.cell.kinematics import forward
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import Shape
+from planner.geometry.arrays import BoolArray, Shape
 from planner.problem import Cell, LinearAxis, Obstacle
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes, track_way
 from tests import gantry_job
-from tests.verify.rules.test_krl_external_axes import prover_of
+from tests.verify.provers import prover_of
 
 A, B, LEG = "[-500.0000,0.0000,", "[800.0000,200.0000,", "[800.0000,0.0000,"
 """The stations as the text has them, and what lies between the second one and those before and behind it."""
@@ -232,6 +233,11 @@ def over(prover: Prover, *shapes: Shape) -> list[str]:
     return [issue.message for issue in found if issue.code == "verify.track_way"]
 
 
+def everywhere(model: CellModel, riders: Sequence[Solid], fixed: Sequence[Solid], *_: Any) -> BoolArray:
+    """A planner to which all that stands is a rail."""
+    return np.ones((len(riders), len(fixed)), bool)
+
+
 def box(x: float, y: float, z: float, size: tuple[float, float, float]) -> Shape:
     pose = np.eye(4)
     pose[:3, 3] = x, y, z
@@ -273,11 +279,33 @@ def test_a_planner_that_leaves_out_an_end_stop_is_not_believed(
     prover: Prover, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     thing = box(-0.9, 0.5, 1.5, (0.3, 0.1, 0.1))
-    monkeypatch.setattr(
-        axis_way, "_sliding", lambda model, riders, fixed, way: np.ones((len(riders), len(fixed)), bool)
-    )
+    monkeypatch.setattr(axis_way, "_sliding", everywhere)
     assert any("nothing shows that column keeps" in message for message in over(prover, thing))
     assert not over(prover)
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_post_beside_a_carriage_is_no_bearing(
+    prover: Prover, monkeypatch: pytest.MonkeyPatch, blind: bool
+) -> None:
+    """3 mm beside the column where its way begins, which leaves it behind. A planner that takes it for a rail
+    is not believed; one as long as the rails is one, as nothing tells it from a guide."""
+    if blind:
+        monkeypatch.setattr(axis_way, "_sliding", everywhere)
+    words = (
+        "nothing shows that column keeps 10 mm off thing" if blind else "column and thing are 3.000 mm apart"
+    )
+    told = over(prover, box(-0.547, 0.0, 0.3, (0.1, 0.4, 0.4)))
+    assert any(words in message for message in told), told
+    assert not over(prover, box(-0.547, 0.0, 0.3, (0.1, 4.0, 0.4)))
+
+
+@pytest.mark.long
+def test_rails_that_are_shorter_than_the_range_are_told(tmp_path: Path) -> None:
+    short = {"kind": "box", "size_mm": [300, 2000, 100], "pose": {"xyz_mm": [-700, 0, 50]}}
+    bodies = ({"name": "rails", "shapes": [short]}, gantry_job.COLUMN, gantry_job.CONSOLE)
+    (issue,) = planner.check(gantry_job.problem(tmp_path, obstacles=bodies))
+    assert "column and rails come as near as 1.0 mm, where it begins; what bears a body" in issue.message
 
 
 @pytest.mark.parametrize("blind", [False, True])
@@ -314,7 +342,7 @@ def test_a_base_is_not_lowered_into_the_floor(
     made = gantry_job.problem(tmp_path, axes, (), -1500.0, base={"xyz_mm": [0, 0, 0]})
     if not blind:
         (issue,) = [one for one in planner.check(made) if one.code == "motion.station"]
-        assert "left/base_link and the floor" in issue.message
+        assert "left/base_link goes below the floor" in issue.message
         return
     monkeypatch.setattr(axis_way, "_low", lambda *args: {})
     out = planner.plan(made)
@@ -331,6 +359,7 @@ def test_a_block_is_no_bearing(prover: Prover, monkeypatch: pytest.MonkeyPatch, 
     if blind:
         every = {body.name for body in prover.problem.cell.obstacles} | {"stock"}
         monkeypatch.setattr(axis_way, "_bearers", lambda *args: every)
+        monkeypatch.setattr(axis_way, "_sliding", everywhere)
     place = np.eye(4)
     place[:3, 3] = [-0.548, 0.0, 0.2]
     stock = dataclasses.replace(prover.problem.stock, place=place)

@@ -21,14 +21,10 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes
 from tests import table_job, track_job
+from tests.verify.provers import prover_of
 
 THERE = "65.0000"
 """The second station of the table as the text has it."""
-
-
-def prover_of(outcome: Outcome) -> Prover:
-    made = dataclasses.replace(outcome.problem, stations={})  # nothing of the plan
-    return Prover(made, processes.claims(made))
 
 
 @pytest.fixture(scope="module")

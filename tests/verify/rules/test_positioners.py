@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.cell import axis_way
 from planner.problem import Cell, Obstacle, RotaryAxis, Turntable
 from planner.verify.prove import Prover
 from tests import positioner_job
+from tests.verify.provers import prover_of
 from tests.verify.rules.test_turntables import broken, first
 
 TILT, TURN = "60.0000", "-180.0000"
@@ -28,8 +28,7 @@ BEFORE = "[-20.0000,40.0000,9E9"
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    made = dataclasses.replace(positioner_job.planned().problem, stations={})  # nothing of the plan
-    return Prover(made, processes.claims(made))
+    return prover_of(positioner_job.planned())
 
 
 def test_where_the_block_is_follows_from_the_text_within_a_micrometre(prover: Prover) -> None:

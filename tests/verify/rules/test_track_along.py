@@ -25,6 +25,7 @@ from planner.verify.replay import clearance_samples
 from planner.verify.rules import clearance, external_axes
 from planner.verify.rules.track_way import track_way
 from tests import following_job
+from tests.verify.provers import prover_of
 
 MOVE = re.compile(r"(MoveL .*?\],\[)(-?[0-9.]+|9E9)((?:,[^\]]*)?\]\])")
 """A straight move with the value of the track."""
@@ -32,8 +33,7 @@ MOVE = re.compile(r"(MoveL .*?\],\[)(-?[0-9.]+|9E9)((?:,[^\]]*)?\]\])")
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    made = dataclasses.replace(following_job.planned().problem, stations={})  # nothing of the plan
-    return Prover(made, processes.claims(made))
+    return prover_of(following_job.planned())
 
 
 @pytest.fixture(scope="module")

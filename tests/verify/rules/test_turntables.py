@@ -14,7 +14,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import planner
-from planner import processes
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
 from planner.pipeline import Outcome
@@ -24,6 +23,7 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes
 from tests import table_job
+from tests.verify.provers import prover_of
 
 THERE = "120.0000"
 """The second station as the text has it."""
@@ -31,8 +31,7 @@ THERE = "120.0000"
 
 @pytest.fixture(scope="module")
 def prover() -> Prover:
-    made = dataclasses.replace(table_job.planned().problem, stations={})  # nothing of the plan
-    return Prover(made, processes.claims(made))
+    return prover_of(table_job.planned())
 
 
 def test_where_the_block_is_follows_from_the_text_within_a_micrometre(prover: Prover) -> None:
@@ -262,7 +261,7 @@ def test_the_other_arm_has_to_be_at_home_while_the_table_turns() -> None:
     assert out.verified
     data = out.programs["T_ROB1/TandemData_1.mod"]
     assert f"[9E9,{THERE},9E9" in data and THERE not in out.programs["T_ROB2/TandemData_2.mod"]
-    made = Prover(dataclasses.replace(out.problem, stations={}), processes.claims(out.problem))
+    made = prover_of(out)
 
     def change(text: str) -> str:
         second = text.index("MODULE TandemMain_2")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import tempfile
 from collections.abc import Callable
@@ -13,10 +12,9 @@ import pytest
 import yaml
 
 import planner
-from planner import processes
 from planner.pipeline import Outcome
-from planner.verify.prove import Prover
 from tests import track_job
+from tests.verify.provers import prover_of
 
 FOLDER = tempfile.TemporaryDirectory()
 """Where the files of the job lie as long as tests run."""
@@ -92,7 +90,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str], Callable[[str], str]]] = {
 def test_a_wrong_order_is_refused(name: str) -> None:
     word, one, other = MUTANTS[name]
     out = planned()
-    made = Prover(dataclasses.replace(out.problem, stations={}), processes.claims(out.problem))
+    made = prover_of(out)
     change = {"T_ROB1/TandemMain_1.mod": one, "T_ROB2/TandemMain_2.mod": other}
     bad = {
         file: change.get(file, str)(text.replace("\r\n", "\n")).replace("\n", "\r\n")
