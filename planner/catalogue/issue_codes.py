@@ -102,7 +102,7 @@ CODES: Final[dict[str, Code]] = {
         given=True,
     ),
     "element.joint": Code("neighbouring panels of an element meet with a step larger than asked"),
-    "element.face": Code("fronts of planar panels of an element, cut together, are off their planes"),
+    "element.face": Code("faces of an element's panels are cut off what is written, or on the panel's side"),
     "element.raw_block": Code("the block of a panel fits none of the raw blocks of its foam"),
     "element.cut": Code("the bow reaches some cuts of raw blocks in no way"),
     "element.stock": Code("a list of foam that is left over is none, or has wrong rows", given=True),

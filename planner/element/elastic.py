@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
 
-from planner.element.elastic_panel import ElasticPanel, joints
+from planner.element.elastic_panel import ElasticPanel, Joint, joints
 from planner.element.follow import Lead, lead
 from planner.element.misfit import (
     MISFIT_STEP,
@@ -222,7 +221,7 @@ def divide_elastic(made: Search, judge: Judge | None = None, held: bool = False)
         # the check takes longest: it comes when all else is well
         failed = [p for p in places if fits.at(p) is None] or [p for p in places if not fits.passes(p)]
         if not failed:
-            return _led(fits, _evened(fits, misfit, places))
+            return _joined(fits, misfit, places)
         for place in failed:
             if held:
                 struck[place] = float(misfit[place])
@@ -253,6 +252,7 @@ class _Fits:
         self._known: dict[_Place, ElasticPanel | None] = {}
         self._tries: dict[_Place, Iterator[ElasticPanel]] = {}
         self._passed: set[_Place] = set()
+        self._led: dict[tuple[_Following, int, int], ElasticPanel | None] = {}
 
     def at(self, place: _Place) -> ElasticPanel | None:
         """The panel at a place."""
@@ -278,6 +278,15 @@ class _Fits:
                 self._known[place] = next(self._tries[place], None)
         self._passed.add(place)
         return self._known[place] is not None
+
+    def led(self, who: _Following, panel: ElasticPanel, leads: tuple[Lead, ...]) -> ElasticPanel | None:
+        """A panel that follows others (`_panel`), each fitted once: ``who`` tells it by all that it
+        follows."""
+        known = who, panel.wire, panel.along
+        if known not in self._led:
+            way = 2 * panel.wire + panel.along
+            self._led[known] = _panel(self.made, panel.rectangle, way, leads)
+        return self._led[known]
 
     def accepts(self, panel: ElasticPanel) -> bool:
         """Whether the judge refuses nothing of a panel, or there is none."""
@@ -305,57 +314,85 @@ class _Fits:
                 price[place] = np.inf
 
 
-def _evened(fits: _Fits, price: FloatArray, places: list[_Place]) -> tuple[ElasticPanel, ...]:
-    """The panels of a division at ``price``, or of another one with as few and evener joints.
+def _joined(fits: _Fits, price: FloatArray, places: list[_Place]) -> tuple[ElasticPanel, ...]:
+    """The panels of a division at ``price``, of which some follow a neighbour, or of another one with as few
+    panels and fewer joints beyond the limit.
 
     How far a panel is off the surface along a joint is known when it is fitted, and the step is between two
     of them: no price of a panel alone says it. So panels at the worst joints are struck off, one at a time,
     and the best of the divisions without is gone on from, until none has fewer joints beyond the limit."""
     limit = fits.made.rules.joint
-    panels = fits.panels(places)
+    panels = _led(fits, fits.panels(places))
     least = _unevenness(panels, limit)
     for _ in range(_MOST_EVENED):
-        over = sorted((one for one in joints(panels) if one.step > limit), key=lambda one: -one.step)
         tried: list[tuple[tuple[int, int], int, FloatArray, list[_Place]]] = []
-        for k in dict.fromkeys(k for joint in over[:_WORST_JOINTS] for k in joint.panels):
+        for k in dict.fromkeys(k for joint in _beyond(panels, limit) for k in joint.panels):
             without = price.copy()
             without[places[k]] = np.inf
             anew = fits.division(without, len(places))
             if anew is not None:
-                tried.append((_unevenness(fits.panels(anew), limit), len(tried), without, anew))
+                uneven = _unevenness(_led(fits, fits.panels(anew)), limit)
+                tried.append((uneven, len(tried), without, anew))
         for uneven, _, without, anew in sorted(tried, key=lambda one: one[:2]):
             if uneven[0] >= least[0]:
                 return panels
-            if all(fits.passes(place) for place in anew) and _unevenness(fits.panels(anew), limit) <= uneven:
-                least, price, places, panels = uneven, without, anew, fits.panels(anew)
+            if not all(fits.passes(place) for place in anew):
+                continue
+            led = _led(fits, fits.panels(anew))
+            if _unevenness(led, limit) <= uneven:
+                least, price, places, panels = uneven, without, anew, led
                 break
         else:
             return panels
     return panels
 
 
+def _beyond(panels: Sequence[ElasticPanel], limit: float) -> list[Joint]:
+    """The worst joints beyond the limit, worst first."""
+    over = sorted((one for one in joints(panels) if one.step > limit), key=lambda one: -one.step)
+    return over[:_WORST_JOINTS]
+
+
 def _led(fits: _Fits, panels: tuple[ElasticPanel, ...]) -> tuple[ElasticPanel, ...]:
     """The panels, of which one at each joint beyond the limit follows the other (`follow`), as far as fewer
-    joints are beyond it then."""
-    limit, leads = fits.made.rules.joint, dict[int, tuple[Lead, ...]]()
+    joints are beyond it then: at the worst joint where that helps, on the side where it helps more."""
+    limit = fits.made.rules.joint
+    following: list[_Following] = [(panel.rectangle, ()) for panel in panels]
+    leads: dict[int, dict[int, Lead]] = {}
     least = _unevenness(panels, limit)
     for _ in range(_MOST_EVENED):
-        over = sorted((one for one in joints(panels) if one.step > limit), key=lambda one: -one.step)
-        best: tuple[tuple[int, int], int, tuple[Lead, ...], tuple[ElasticPanel, ...]] | None = None
-        for joint, k in itertools.product(over[:_WORST_JOINTS], (0, 1)):
-            one, own = joint.panels[k], panels[joint.panels[k]]
-            more = (*leads.get(one, ()), lead(joint, 1 - k, panels[joint.panels[1 - k]]))
-            panel = _panel(fits.made, own.rectangle, 2 * own.wire + own.along, more)
-            if panel is None or panel.held < own.held:
-                continue
-            anew = (*panels[:one], panel, *panels[one + 1 :])
-            uneven = _unevenness(anew, limit)
-            if uneven < (least if best is None else best[0]) and fits.accepts(panel):
-                best = uneven, one, more, anew
-        if best is None:
+        for joint in _beyond(panels, limit):
+            best: tuple[tuple[int, int], int, int, Lead, tuple[ElasticPanel, ...]] | None = None
+            for k, one in enumerate(joint.panels):
+                other = joint.panels[1 - k]
+                more = lead(joint, 1 - k, panels[other])
+                who = _after(following, one, other)
+                panel = fits.led(who, panels[one], tuple({**leads.get(one, {}), other: more}.values()))
+                if panel is None or panel.held < panels[one].held:
+                    continue
+                anew = (*panels[:one], panel, *panels[one + 1 :])
+                uneven = _unevenness(anew, limit)
+                if uneven < (least if best is None else best[0]) and fits.accepts(panel):
+                    best = uneven, one, other, more, anew
+            if best is not None:
+                least, one, other, more, panels = best
+                following[one] = _after(following, one, other)
+                leads.setdefault(one, {})[other] = more
+                break
+        else:
             return panels
-        least, one, leads[one], panels = best
     return panels
+
+
+_Following = tuple[tuple[int, int, int, int], tuple[object, ...]]
+"""The rectangle of a panel, and the same of those that it follows, in order."""
+
+
+def _after(following: Sequence[_Following], one: int, other: int) -> _Following:
+    """What a panel is when it follows an other one, too: as that is now, whatever it was before."""
+    rectangle, others = following[one]
+    kept = [who for who in others if isinstance(who, tuple) and who[0] != following[other][0]]
+    return rectangle, (*kept, following[other])
 
 
 def _unevenness(panels: Sequence[ElasticPanel], limit: float) -> tuple[int, int]:

@@ -41,6 +41,9 @@ from planner.reading.strict_yaml import Far, FileName, Positive, Strict, Vector
 
 LONGEST: Final = 200.0
 """A surface to be divided whose longest side is longer [m] was stated in a wrong unit."""
+SLACK_WIRE: Final = 5.0
+"""A wire that is more than so many times as long as a whole element is not meant for it, or the element is in
+another unit: an inch read as a millimetre is 25 times too small."""
 MOST_CELLS: Final = 48
 """Cells of a grid along one side at most: the division looks at all rectangles of the grid."""
 USUAL_CELLS: Final = 24
@@ -525,6 +528,7 @@ def read(path: Path) -> ElasticElement | HexagonElement | WallElement | StripsEl
         )
     if elastic is None:
         raise ValueError("panels of no kind")
+    _not_tiny(mesh, wires)
     own = stand(mesh, spec.thickness_mm * MM, *stated)
     cells = elastic.cells or _cells(own)
     rules = _rules(spec, elastic, wires)
@@ -569,6 +573,27 @@ def _rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFile, ...])
         elastic.tolerance_mm * MM,
         elastic.end_weight,
         elastic.joint_mm * MM,
+    )
+
+
+def _not_tiny(mesh: TriangleMesh, wires: tuple[WireFile, ...]) -> None:
+    """Raises ``element.surface`` for an element that all wires are much too long for."""
+    size = np.ptp(mesh.vertices, axis=0)
+    shortest, longest = min(one.length_mm for one in wires) * MM, float(size.max())
+    if shortest <= SLACK_WIRE * longest:
+        return
+    text = " x ".join(f"{side / MM:.0f}" for side in size)
+    raise TandemError(
+        Issue(
+            "element.surface",
+            f"the surface is {text} mm, and the shortest wire has {shortest / MM:.0f} mm: more than "
+            f"{SLACK_WIRE:g} times as much as the element is long",
+            field="surface",
+            value=longest / MM,
+            limit=shortest / SLACK_WIRE / MM,
+            unit="mm",
+            hint="state the unit that the file was made in, or give a shorter wire",
+        )
     )
 
 

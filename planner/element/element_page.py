@@ -226,7 +226,9 @@ def _totals(found: ElementRun) -> Iterator[tuple[Phrase, Phrase]]:
         yield "wire through foam", f"{metres:.0f} m"
     if jobs:
         stops = sum(int(one["stops"]) for one in jobs)
-        yield "stops of the operator", f"{stops} in {len(jobs)} jobs: to bring foam, turn it or change tools"
+        said = f"{stops} in {len(jobs)} jobs: to bring foam, turn it or change tools"
+        mounted = f"; {len(wires)} to put in a wire, where all panels of one wire follow one another"
+        yield "stops of the operator", said + (mounted if wires else "")
     for arm, minutes in _estimate([one.job for one in found.saw]).items():
         words = f"about {minutes / 60.0:.1f} h in {len(found.saw)} jobs: an estimate"
         yield f"to cut raw blocks, arm {arm}", words

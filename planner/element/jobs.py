@@ -94,8 +94,8 @@ def cut_figures(
 ) -> dict[str, Any]:
     """What a job takes, estimated: ``cut_min``, minutes that each arm cuts, by its name: the ``way`` [mm] of
     each operation of a template at its feed; ``cut_m``, all ways together [m]; ``stops`` of the operator: one
-    to bring the foam, and one before each later operation with a setup, unless they are stated. Ways in and
-    out, loading and mounting come on top."""
+    to bring the foam, and one before each later operation with a setup or a bent wire, which is put in then,
+    unless they are stated. Ways in and out, loading and mounting come on top."""
     minutes: dict[str, float] = {}
     metres = 0.0
     operations = [one for one in template.data["operations"] if isinstance(one, dict)]
@@ -108,8 +108,13 @@ def cut_figures(
     return {
         "cut_min": {arm: round(one, 3) for arm, one in minutes.items()},
         "cut_m": round(metres, 4),
-        "stops": stops or 1 + sum("setup" in one for one in operations[1:]),
+        "stops": stops or 1 + sum(map(_stops, operations[1:])),
     }
+
+
+def _stops(operation: Mapping[str, Any]) -> bool:
+    """Whether an operation that is not the first waits for the operator."""
+    return "setup" in operation or operation.get("process") == "elastic_wire"
 
 
 def ruled_way(made: Mapping[str, Any], operation: Mapping[str, Any]) -> float:

@@ -12,11 +12,17 @@ from typing import Final
 
 import numpy as np
 
-from planner.element.misfit import ends_weighted
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, vertex_normals
-from planner.hotwire.elastic.family import SECTION_POINTS, cut_sections, make_spine
-from planner.hotwire.elastica.fit import CurveFit, fit_curves
+from planner.hotwire.elastic.family import (
+    FamilyFit,
+    cut_sections,
+    fit_family,
+    fit_first,
+    make_spine,
+    section_places,
+)
+from planner.hotwire.elastica.fit import CurveFit
 from planner.hotwire.elastica.heavy import HeavyShape, end_sensitivity, from_middle
 from planner.hotwire.wire import Wire
 
@@ -31,8 +37,12 @@ TAUT: Final = 0.9997
 CLEAR_ENDS: Final = 0.05
 """How far the wire's ends must be outside of the block [m] for it to be held safely: jobs ask 20 mm of all of
 the path, which comes 15 mm nearer between the sections looked at, and holders stand there."""
+_COLUMNS = 161  # across a face, between which what sections say is linear
 _HELD_EVERY = 3  # sections of which one is looked at for that
-_SHORTEST_SECTION = 0.5  # of the median: corners that a leaning plane cuts off follow from their neighbours
+_LEAST_SECTIONS, _MOST_SECTIONS = 8, 100  # steps between the ends of a face, but for those near them
+_KNOT_STEP = 0.045  # m between knots of the family's spline
+_CELLS = 16, 32  # of it
+_BESIDE = 0.04  # m: the wires of a face go on beyond it as far as jobs ask it with their usual margin
 
 
 def clip(values: FloatArray, faces: IntArray, axis: int, at: float, keep: int) -> tuple[FloatArray, IntArray]:
@@ -117,60 +127,75 @@ def bend(
     short or a section turns back over itself."""
     spine = make_spine(face, np.array([0.0, 1.0, 0.0]), normal=False)
     low, high = face.vertices[:, 1].min(), face.vertices[:, 1].max()
-    count = max(9, int(np.ceil((high - low) / SECTION_STEP)) + 1)
-    margin = 1e-3 * (high - low)
-    sections = cut_sections(face, spine, np.linspace(low + margin, high - margin, count))
-    good = sections.length > _SHORTEST_SECTION * np.median(sections.length[sections.length > 0.0])
-    points = sections.points[good]
+    found = cut_sections(
+        face, spine, section_places(low, high, SECTION_STEP, _LEAST_SECTIONS, _MOST_SECTIONS)
+    )
+    sections = found.take(np.flatnonzero(found.length > 0.0))
     if sections.length.max() > cut.length - 0.5 * cut.outside:
         return None
-    batch = len(points)
-    fit = fit_curves(
-        points,
-        np.full(batch, cut.length),
-        np.tile([0.0, -cut.wire.load], (batch, 1)),
-        ends_weighted(batch, SECTION_POINTS, end_weight),
-    )
-    if not np.isfinite(fit.largest).all():
-        return None
-    across = points[..., 0] + spine.across
+    across = sections.points[..., 0] + spine.across
     if (np.diff(across, axis=1) <= 0.0).any():
         return None
-    residual = _between(sections.p[good], across, fit.residual, face.vertices[:, :2])
+    load = np.tile([0.0, -cut.wire.load], (len(across), 1))
+    fit = fit_family(
+        sections,
+        fit_first(sections, load, cut.length),
+        load,
+        cut.length,
+        low - _BESIDE,
+        high + _BESIDE,
+        -spine.across,
+        int(np.clip(np.ceil((high - low + 2.0 * _BESIDE) / _KNOT_STEP), *_CELLS)),
+        end_weight,
+    )
+    if not np.isfinite(fit.residual).all():
+        return None
+    residual = _between(sections.p, across, fit.residual, face.vertices[:, :2])
     normal = vertex_normals(face)
     lean = np.hypot(normal[:, 0], normal[:, 2])  # in the plane of the section the way to the wire is longer
     facing = dots(normal, np.broadcast_to(up, normal.shape))
     # residuals are along the section's left normal, which looks up as do fronts
     off = -residual * lean
     shift = off / np.abs(facing)
-    return BentFace(
-        shift, off, float(fit.largest.max()), _held_in_block(fit, cut, half_block + abs(spine.across))
-    )
+    held = _held_in_block(fit, sections.p, cut, half_block + abs(spine.across))
+    return BentFace(shift, off, float(np.abs(fit.residual).max()), held)
 
 
 def _between(places: FloatArray, across: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
     """Values (V,) at points ``wanted`` (V, 2), between those that sections at y ``places`` (K,), rising, have
-    at x ``across`` (K, M), rising; beyond the ends of a section, and the outer sections, those there."""
-    x, y = wanted.T
-    first = np.clip(np.searchsorted(places, y) - 1, 0, len(places) - 2)
-    share = np.clip((y - places[first]) / (places[first + 1] - places[first]), 0.0, 1.0)
-    out = np.zeros(len(wanted))
-    for k in range(len(places) - 1):
-        rows = np.flatnonzero(first == k)
-        one, other = (np.interp(x[rows], across[i], values[i]) for i in (k, k + 1))
-        out[rows] = one + share[rows] * (other - one)
-    return out
+    at x ``across`` (K, M), rising.
+
+    Beyond the ends of a section they are those of the nearest section that reaches as far: its own end says
+    nothing of the wire there. Beyond the outer sections they are as there."""
+    x = np.linspace(across.min(), across.max(), _COLUMNS)
+    level = np.stack([np.interp(x, *one) for one in zip(across, values, strict=True)])
+    beyond = 0.5 * (x[1] - x[0])
+    inside = (x >= across[:, :1] - beyond) & (x <= across[:, -1:] + beyond)
+    rows = np.arange(len(places))[:, None]
+    reaching = np.where(inside, rows, -1)
+    before = np.maximum.accumulate(reaching, axis=0)
+    after = np.minimum.accumulate(np.where(inside, rows, len(places))[::-1], axis=0)[::-1]
+    nearest = np.where(before >= 0, before, np.minimum(after, len(places) - 1))
+    level = np.take_along_axis(level, nearest, axis=0)
+    share = np.clip((wanted[:, 0] - x[0]) / (x[-1] - x[0]), 0.0, 1.0) * (_COLUMNS - 1)
+    left = np.minimum(share.astype(np.int64), _COLUMNS - 2)
+    first = np.clip(np.searchsorted(places, wanted[:, 1]) - 1, 0, len(places) - 2)
+    up = np.clip((wanted[:, 1] - places[first]) / (places[first + 1] - places[first]), 0.0, 1.0)
+    right = share - left
+    lower = level[first, left] * (1.0 - right) + level[first, left + 1] * right
+    upper = level[first + 1, left] * (1.0 - right) + level[first + 1, left + 1] * right
+    return np.asarray(lower + up * (upper - lower))
 
 
 def holds(fit: CurveFit, cut: CutWire) -> BoolArray:
     """Whether the wire stays in the shapes (B,) of a fit: well from snapping, elastic, neither taut nor moved
     by errors of its ends more than is allowed. The planner asks the same of the whole path."""
-    return _stays(_shapes(fit, cut, slice(None)), fit.foot, cut)
+    return _stays(_shapes(fit.middle, cut), fit.foot, cut)
 
 
-def _shapes(fit: CurveFit, cut: CutWire, some: slice) -> HeavyShape:
-    length = fit.length[some]
-    return from_middle(fit.middle[some], length, np.tile([0.0, -cut.wire.load], (len(length), 1)))
+def _shapes(middle: FloatArray, cut: CutWire) -> HeavyShape:
+    count = len(middle)
+    return from_middle(middle, np.full(count, cut.length), np.tile([0.0, -cut.wire.load], (count, 1)))
 
 
 def _stays(shape: HeavyShape, foot: FloatArray, cut: CutWire) -> BoolArray:
@@ -182,9 +207,10 @@ def _stays(shape: HeavyShape, foot: FloatArray, cut: CutWire) -> BoolArray:
     return np.asarray(good & (feel <= cut.moves))
 
 
-def _held_in_block(fit: CurveFit, cut: CutWire, half_block: float) -> bool:
-    """Whether the wire stays in the shapes of a panel's fit (`holds`), its ends clear of the block."""
+def _held_in_block(fit: FamilyFit, places: FloatArray, cut: CutWire, half_block: float) -> bool:
+    """Whether the wire stays in the shapes of a panel's fit at ``places`` (K,) (`holds`), its ends clear of
+    the block."""
     some = slice(None, None, _HELD_EVERY)
-    shape = _shapes(fit, cut, some)
+    shape = _shapes(fit.family.state(places[some]), cut)
     ends = min(float(shape.points[:, -1, 0].min()), float(-shape.points[:, 0, 0].max()))
     return ends >= half_block + CLEAR_ENDS and bool(_stays(shape, fit.foot[some], cut).all())

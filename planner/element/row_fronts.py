@@ -17,21 +17,16 @@ from typing import Any
 import numpy as np
 import shapely
 
-from planner import plans
-from planner.claims.claim import CutsSurface
 from planner.element.jobs import block_pose
 from planner.element.rows import FRONTS
-from planner.element.run_joints import CutFace, CutPart, job_of, panel_objects
+from planner.element.run_joints import CutFace, CutPart, job_of, panel_objects, slot_width
 from planner.element.side_joints import rings
-from planner.geometry.arrays import FloatArray, transform
+from planner.geometry.arrays import transform
 
 
 @dataclasses.dataclass(frozen=True)
 class CutFront(CutFace):
-    """The front of a planar panel. ``slot`` [m]: what the slot across it takes of the panel, 0 where it is
-    above."""
-
-    slot: float
+    """The front of a planar panel."""
 
 
 def cut_front(run: Path, panel: Mapping[str, Any], thickness: float) -> tuple[CutFront, ...]:
@@ -46,22 +41,11 @@ def cut_front(run: Path, panel: Mapping[str, Any], thickness: float) -> tuple[Cu
         return ()
     up = np.array([0.0, 0.0, 1.0])
     below = own.normals @ up < 0.0
-    slot = _slot(run / job_of(panel)) if below.any() else 0.0
+    slot = slot_width(run / job_of(panel), FRONTS) if below.any() else 0.0
     left = own.points + slot * np.where(below[:, None], own.normals, 0.0)
     place = left.copy()
     place[:, 2] = thickness
     pose = block_pose(panel)
     normals = np.broadcast_to(pose[:3, :3] @ up, place.shape)
     rim = np.zeros(0, dtype=np.intp)
-    return (CutFront(transform(pose, place), transform(pose, left), normals, rim, slot),)
-
-
-def _slot(result: Path) -> float:
-    """The widest slot [m] of the cut of fronts."""
-    widths: list[FloatArray] = [
-        claim.kerf.width
-        for operation in plans.load(result).operations
-        for claim in operation.targets.claims
-        if isinstance(claim, CutsSurface) and claim.segment.word == f"cut_{FRONTS}"
-    ]
-    return max((float(width.max()) for width in widths), default=0.0)
+    return (CutFront(transform(pose, place), transform(pose, left), normals, rim, slot=slot),)

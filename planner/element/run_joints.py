@@ -17,6 +17,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from planner import plans
+from planner.claims.claim import CutsSurface, FollowsRulings
 from planner.element.jobs import block_pose
 from planner.geometry.arrays import FloatArray, IntArray, dots, inverse, transform
 from planner.geometry.mesh import TriangleMesh, vertex_normals
@@ -27,6 +29,8 @@ from planner.issues import Issue, TandemError
 
 FACES: Final = ("front", "back")
 """The faces of a panel, as their meshes and cuts are named."""
+_LOOKS: Final = {"front": 1.0, "back": -1.0}
+"""Whether a face looks up or down in its block."""
 SAME_PLACE: Final = 2e-5
 """Vertices of two rims that are nearer than this [m] in the element's plane as written are one."""
 LARGEST_DEVIATION: Final = 0.02
@@ -36,12 +40,14 @@ LARGEST_DEVIATION: Final = 0.02
 @dataclasses.dataclass(frozen=True)
 class CutFace:
     """One face of a panel in the element frame [m]: ``place`` (V, 3) as written, ``cut`` (V, 3) where the
-    wire passes, ``normals`` (V, 3) outwards; ``rim`` (R,): vertices on its border."""
+    wire passes, ``normals`` (V, 3) outwards; ``rim`` (R,): vertices on its border. ``slot`` [m]: what the
+    slot takes of the panel where it lies on the panel's side, 0 where it is outside."""
 
     place: FloatArray
     cut: FloatArray
     normals: FloatArray
     rim: IntArray
+    slot: float = dataclasses.field(default=0.0, kw_only=True)
 
     @property
     def deviation(self) -> FloatArray:
@@ -76,6 +82,9 @@ class CutPart:
 def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, ...]:
     """The faces of a panel of ``out`` as the plan in ``run`` cuts them.
 
+    On which side of a face foam is left says the simulated part, which is wound about it; fronts look up in
+    the block and backs down, however they were written.
+
     Raises ``TandemError``: ``element.run`` where the plan is of another panel, issues of mesh files.
     """
     name = str(panel["id"])
@@ -93,10 +102,36 @@ def cut_faces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[CutFace, 
             far = float(np.abs(moved.points - written.vertices).max())
         if far > LARGEST_DEVIATION:
             raise other_panel(path, name, f"the {side} face")
-        normals = vertex_normals(written) @ pose[:3, :3].T
+        out_of_it = vertex_normals(written)
+        out_of_it *= np.where(out_of_it[:, 2:] * _LOOKS[side] < 0.0, -1.0, 1.0)
+        left, slot = foam_left(moved, out_of_it, run / name, side)
         rim = np.unique(np.concatenate(boundaries(written)))
-        faces.append(CutFace(transform(pose, written.vertices), transform(pose, moved.points), normals, rim))
+        normals = out_of_it @ pose[:3, :3].T
+        faces.append(
+            CutFace(transform(pose, written.vertices), transform(pose, left), normals, rim, slot=slot)
+        )
     return tuple(faces)
+
+
+def foam_left(part: CutPart, outwards: FloatArray, result: Path, surface: str) -> tuple[FloatArray, float]:
+    """Where (V, 3) [m] the foam of a ``surface`` ends whose normals should be ``outwards`` (V, 3), and what
+    the slot takes of the panel [m], 0 where it is outside of it. One slot is on one side of all of it."""
+    normals = np.nan_to_num(part.normals)
+    if float(dots(normals, outwards).mean()) >= 0.0:
+        return part.points, 0.0
+    slot = slot_width(result, surface)
+    return part.points + slot * normals, slot
+
+
+def slot_width(result: Path, surface: str) -> float:
+    """The widest slot [m] of the cut of a ``surface`` in a result folder."""
+    widths: list[FloatArray] = [
+        claim.kerf.width
+        for operation in plans.load(result).operations
+        for claim in operation.targets.claims
+        if isinstance(claim, CutsSurface | FollowsRulings) and claim.segment.word == f"cut_{surface}"
+    ]
+    return max((float(width.max()) for width in widths), default=0.0)
 
 
 def job_of(panel: Mapping[str, Any]) -> str:

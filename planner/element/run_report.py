@@ -156,8 +156,8 @@ class ElementRun:
         return _summed(self._all)
 
     def issues(self) -> tuple[Issue, ...]:
-        """``element.joint`` for each joint beyond its limits, ``element.face`` for each front off its plane,
-        ``element.run`` for panels without proof."""
+        """``element.joint`` for each joint beyond its limits, ``element.face`` for each face that is cut on
+        its wrong side, and each planar front off its plane, ``element.run`` for panels without proof."""
         found = [
             Issue(
                 "element.joint",
@@ -175,7 +175,7 @@ class ElementRun:
             for joint in self.joints
             if joint.over
         ]
-        found += [issue for panel in self.panels for issue in _off_plane(panel)]
+        found += [issue for panel in self.panels for issue in _off_face(panel)]
         found += _left("panels", self.panels, "see what their reports say, and order no foam for them before")
         if any(one.state != NOT_PLANNED for one in self.saw):
             hint = "see what their reports say; cut these by hand otherwise"
@@ -191,25 +191,30 @@ def _summed(jobs: Sequence[PanelRun | SawRun]) -> dict[str, float]:
     return out
 
 
-def _off_plane(panel: PanelRun) -> Iterator[Issue]:
-    """``element.face`` for a front that is cut off its plane."""
-    for front in (face for face in panel.faces if isinstance(face, CutFront)):
-        off = np.abs(front.deviation)
+def _off_face(panel: PanelRun) -> Iterator[Issue]:
+    """``element.face`` for a planar front that is cut off its plane, and for any other face whose slot is on
+    the panel's side."""
+    for face in panel.faces:
+        planar = isinstance(face, CutFront)
+        off = np.abs(face.deviation)
         at_95 = float(np.percentile(off, 95.0))
-        if at_95 <= MOST_AT_95 and float(off.max()) <= MOST:
+        near = at_95 <= MOST_AT_95 and float(off.max()) <= MOST
+        if not face.slot and (near or not planar):
             continue
-        where = f"; the slot of {front.slot / MM:.2g} mm is on the panel's side" if front.slot else ""
+        where = f"; the slot of {face.slot / MM:.2g} mm is on the panel's side" if face.slot else ""
+        what, wanted = ("front", "its plane") if planar else ("a face", "what is written")
         yield Issue(
             "element.face",
-            f"front of panel {panel.name} as cut: {at_95 / MM:.3f} mm off its plane at 95 % of its points, "
+            f"{what} of panel {panel.name} as cut: {at_95 / MM:.3f} mm off {wanted} at 95 % of its points, "
             f"{off.max() / MM:.3f} mm at most{where}; allowed are {MOST_AT_95 / MM:g} and {MOST / MM:g} mm",
             Severity.WARNING,
-            field="cut_blocks",
+            field="cut_blocks" if planar else "jobs",
             value=at_95 / MM,
             limit=MOST_AT_95 / MM,
             unit="mm",
-            hint=f"do not cut {job_of(panel.panel)}; divide the element again and plan its blocks anew"
-            if front.slot
+            hint=f"do not cut {job_of(panel.panel)}; divide the element again and plan "
+            f"{'its blocks' if planar else 'it'} anew"
+            if face.slot
             else "ask for a smaller shape_tol_mm in cut_blocks.problem",
         )
 

@@ -20,7 +20,15 @@ from scipy.spatial import cKDTree
 
 from planner.element.jobs import block_pose
 from planner.element.nested_output import AGAIN
-from planner.element.run_joints import LARGEST_DEVIATION, CutFace, CutJoint, other_panel, panel_objects
+from planner.element.run_joints import (
+    FACES,
+    LARGEST_DEVIATION,
+    CutFace,
+    CutJoint,
+    foam_left,
+    other_panel,
+    panel_objects,
+)
 from planner.geometry.arrays import FloatArray, dots, lengths, transform, unit
 from planner.geometry.units import MM
 from planner.reading import strict_yaml
@@ -58,6 +66,7 @@ def cut_surfaces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[WallFa
     if "cut_front" not in parts or "cut_back" not in parts:
         return ()
     pose = block_pose(panel)
+    middle = np.mean([_written(one)[0].mean(axis=0) for one in written if one["name"] in FACES], axis=0)
     found = []
     for one in written:
         cut = parts.get(f"cut_{one['name']}")
@@ -67,10 +76,14 @@ def cut_surfaces(out: Path, run: Path, panel: Mapping[str, Any]) -> tuple[WallFa
         far, at = cKDTree(points).query(cut)
         if float(np.max(far)) > LARGEST_DEVIATION:
             raise other_panel(path, name, f"what is cut of its {one['name']}")
-        own = normals[at]
+        looks_out = float((points.mean(axis=0) - middle) @ normals.mean(axis=0)) > 0.0
+        own = normals[at] if looks_out else -normals[at]
+        left, slot = cut, 0.0
+        if "cut_in" not in panel:  # of a row the parts say no more than points
+            left, slot = foam_left(objects[f"cut_{one['name']}"], own, run / name, str(one["name"]))
         place = cut - dots(cut - points[at], own)[:, None] * own
-        placed = (transform(pose, place), transform(pose, cut), own @ pose[:3, :3].T)
-        found.append(WallFace(*placed, np.zeros(0, dtype=np.intp), str(one["name"])))
+        placed = (transform(pose, place), transform(pose, left), own @ pose[:3, :3].T)
+        found.append(WallFace(*placed, np.zeros(0, dtype=np.intp), str(one["name"]), slot=slot))
     return tuple(found)
 
 

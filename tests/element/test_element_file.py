@@ -383,3 +383,18 @@ def test_all_panels_of_the_facade_are_accepted_planned_and_proven_as_they_are_wr
     states = [row["state"] for row in csv.DictReader((run / "summary.csv").open())]
     assert "unproven" not in states
     assert states.count("verified") >= 0.95 * len(files)
+
+
+def test_an_element_much_smaller_than_its_wires_is_asked_for_its_unit(tmp_path: Path) -> None:
+    """Inches stated as millimetres were fitted for minutes, by wires with loose ends of fifty sections."""
+    file = element(tmp_path)
+    spec = yaml.safe_load(file.read_text())
+    mesh = tmp_path / spec["surface"]["mesh"]["file"]
+    lines = [line.split() for line in mesh.read_text().splitlines()]
+    small = [["v", *(f"{float(word) / 25.4:.6f}" for word in w[1:])] if w[:1] == ["v"] else w for w in lines]
+    mesh.write_text("".join(" ".join(words) + "\n" for words in small))
+    with pytest.raises(TandemError) as caught:
+        element_file.read(file)
+    (issue,) = caught.value.issues
+    assert issue.code == "element.surface"
+    assert "state the unit" in str(issue.hint)

@@ -19,7 +19,7 @@ import yaml
 from planner import plans
 from planner.cli import command_line
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
-from planner.element import wall_joints
+from planner.element import run_joints, wall_joints
 from planner.issues import Issue, TandemError
 from tests.element.shells import Written, shell, written
 from tests.element.test_strips import file as strips_file
@@ -145,6 +145,26 @@ def test_joints_are_those_of_the_parts_as_cut_and_the_ones_over_the_limit_are_na
     told = [issue.message for issue in issues if issue.code == "element.joint"]
     assert len(told) == len(over)
     assert all(any(f"joint {a} to {b} " in words for words in told) for a, b in over)
+
+
+def test_a_face_of_a_bent_wire_with_its_slot_on_the_side_of_the_panel_is_named(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Had the element written a front wound the other way, its problem would ask for that slot, and claim and
+    program would agree: the part that is left is then wound the other way, too."""
+    data = data_of(out)
+    names = [panel["id"] for panel in data["panels"]]
+    cut(out, tmp_path, data, dict.fromkeys(names, 0.02))
+    monkeypatch.setattr(run_joints, "slot_width", lambda result, surface: 0.003)
+    assert "element.face" not in {i.code for i in run_element_report(ElementReport(out, tmp_path))}
+    part = tmp_path / names[0] / "simulated_part.obj"
+    front, back = part.read_text().split("o cut_back")
+    part.write_text(re.sub(r"^f (\d+) (\d+) (\d+)", r"f \1 \3 \2", front, flags=re.M) + "o cut_back" + back)
+    found = [i for i in run_element_report(ElementReport(out, tmp_path)) if i.code == "element.face"]
+    assert len(found) == 1
+    assert f"panel {names[0]} " in found[0].message
+    assert "the slot of 3 mm is on the panel's side" in found[0].message
+    assert found[0].value == pytest.approx(3.0, abs=0.1)
 
 
 def test_the_page_tells_states_minutes_and_reasons_and_needs_no_network(out: Path, tmp_path: Path) -> None:

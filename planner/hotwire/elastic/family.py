@@ -233,6 +233,7 @@ class _Job:
     tail: FloatArray  # (K,) price of bent ends
     reach: FloatArray  # (K, 2) arc lengths from the middle that the section covers
     centre: float
+    ends: float  # weight of the ends of a section
     steady: FloatArray  # (c 6, c 6)
 
 
@@ -262,11 +263,13 @@ def fit_family(
     upper: float,
     centre: float,
     cells: int = 16,
+    end_weight: float = _END_WEIGHT,
 ) -> FamilyFit:
     """Fit wires of ``length`` [m] to sections whose weight in the planes is ``load`` (K, 2) [1/m^3].
 
     ``lower``, ``upper``: range of p that the family is to cover; ``centre`` [m]: where along the wire's
-    direction its middle should be. Raises ``ValueError`` where no section can be fitted at all (see
+    direction its middle should be; ``end_weight``: of the ends of sections in that of their other points.
+    Raises ``ValueError`` where no section can be fitted at all (see
     ``fit.fit_curves``).
     """
     lower, upper = min(lower, float(sections.p[0])), max(upper, float(sections.p[-1]))
@@ -288,6 +291,7 @@ def fit_family(
         _TAIL**2 * (np.maximum(sections.length, 0.3 * long) / length) ** 3 * share,
         np.zeros((len(sections.p), 2)),
         centre / length,
+        end_weight,
         _steadiness(knots, float(sections.p[covered[0]]), float(sections.p[covered[-1]])),
     )
     coefficient, residual, foot = _gauss_newton(job, coefficient)
@@ -375,7 +379,7 @@ def _evaluate(
     slope[..., 0], slope[..., 1] = sin, -cos
     slope[..., 2:] = sin[..., None] * d[..., :4] - cos[..., None] * d[..., 4:]
     weight = np.ones(across.shape[1])
-    weight[[0, -1]] = _END_WEIGHT
+    weight[[0, -1]] = job.ends
     part = job.share[:, None] * (weight / weight.sum())
 
     place = grid.sigma - 0.5
