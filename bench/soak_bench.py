@@ -35,6 +35,8 @@ from tests.service.support import Process
 MINUTES = "TANDEM_SOAK_MINUTES"
 WARM_SHARE = 0.25
 """Share of the time after which processes, pools and caches are taken as warm."""
+LOOK_S = 5.0
+"""How often [s] what processes hold is looked at from then on: medians of the first and the last third."""
 KEPT = 60
 """Jobs that are kept: what is older is deleted, as in a workshop that runs for long."""
 MOST_QUEUED = 20
@@ -66,13 +68,16 @@ def run() -> list[dict[str, Any]]:
         try:
             soak.begin()
             time.sleep(60.0 * minutes * WARM_SHARE)
-            warm = _held(pid)
-            time.sleep(60.0 * minutes * (1.0 - WARM_SHARE))
-            last = _held(pid)
+            end = time.monotonic() + 60.0 * minutes * (1.0 - WARM_SHARE)
+            seen = [_held(pid)]
+            while time.monotonic() < end:
+                time.sleep(LOOK_S)
+                seen.append(_held(pid))
         finally:
             soak.end()
         states = soak.settled()
-    return [*soak.rows(), _row(minutes, warm, last, states, soak)]
+    third = -(-len(seen) // 3)
+    return [*soak.rows(), _row(minutes, _middle(seen[:third]), _middle(seen[-third:]), states, soak)]
 
 
 @contextlib.contextmanager
@@ -98,6 +103,16 @@ def _held(pid: int) -> Held:
             files += len(list((at / "fd").iterdir()))
             threads += len(list((at / "task").iterdir()))
     return Held(memory, files, threads, len(family))
+
+
+def _middle(seen: list[Held]) -> Held:
+    """The median of each: a worker that plans holds a few hundred MB more for a while."""
+    return Held(
+        statistics.median(one.memory_mb for one in seen),
+        statistics.median_low([one.files for one in seen]),
+        statistics.median_low([one.threads for one in seen]),
+        statistics.median_low([one.processes for one in seen]),
+    )
 
 
 class _Soak:
@@ -288,7 +303,7 @@ def _row(minutes: float, warm: Held, last: Held, states: Counter[str], soak: _So
         raise RuntimeError(f"answers {dict(soak.answers)}, jobs {dict(states)}")
     said = ", ".join(f"{kind} {status}: {count}" for (kind, status), count in sorted(soak.answers.items()))
     note = (
-        f"answers: {said}; jobs {dict(states)}; warm and at the end: {warm.memory_mb:.0f} and "
+        f"answers: {said}; jobs {dict(states)}; when warm and at the end: {warm.memory_mb:.0f} and "
         f"{last.memory_mb:.0f} MB, {warm.files} and {last.files} open files, {warm.threads} and "
         f"{last.threads} threads, {warm.processes} and {last.processes} processes"
     )
