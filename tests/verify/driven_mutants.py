@@ -473,15 +473,17 @@ def two_arms_of_one_name(rng, programs):
 
 @of_two("verify.files")
 def one_arm_alone(rng, programs):
-    rows = []
-    for row in rows_of(programs):
-        if row.get("arm") == "right":
+    """The other arm, its moves and what stands before and in them are left out."""
+    rows, left_out = [], False
+    given = rows_of(programs)
+    for row, after in zip(given, [*given[1:], {}], strict=True):
+        if "t" not in row:
+            left_out = ["right"] in (row.get("move"), after.get("move"))
+        if left_out or row.get("arm") == "right":
             continue
         row = {
             key: value[:6] if key in ("at", "q", "v", "path", "goal") else value for key, value in row.items()
         }
-        if row.get("move") == ["right"]:
-            continue
         if "move" in row:
             row["move"] = ["left"]
         rows.append(row)
