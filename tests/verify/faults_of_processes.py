@@ -185,10 +185,6 @@ def _wider_ring(ring: Any) -> Any:
     return ring + 0.002 * away / np.linalg.norm(away, axis=1, keepdims=True)
 
 
-def _backward(old: Any) -> Any:
-    return lambda tree: old(tree)[::-1]
-
-
 def _other_arm(old: Any) -> Any:
     return lambda job, one: next(arm for arm in job.operation.arms if arm != old(job, one))
 
@@ -396,7 +392,11 @@ FORMING: Final = (
         "heat",
         {"forming.support.modes:heated": result(lambda r: (r[0], r[1] + np.array([0.006, 0, 0]), r[2]))},
     ),
-    Fault("form_children_first", "two_features", {"forming.features.tree:in_place": _backward}),
+    Fault(
+        "form_children_first",
+        "two_features",
+        {"forming.features.tree:in_place": result(lambda order: order[::-1])},
+    ),
     Fault("form_feature_lost", "two_features", {"forming.passes:passes": result(lambda p: p[:1])}),
     Fault("form_feature_twice", "two_features", {"forming.passes:passes": result(lambda p: (*p, p[-1]))}),
     Fault(
