@@ -30,8 +30,8 @@ _FLAT: Final = 0.2
 """Sine of walls on which steps along the wall are looked at in as many."""
 _MOST_SLICES: Final = 20_000
 """Slices of a wall at most."""
-_AT_ONCE: Final = 50_000
-"""Triangles whose contours are looked at at once."""
+_AT_ONCE: Final = 4_000
+"""Triangles whose contours, and pieces of the way, are looked at at once: memory is full of long motions."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,16 +104,17 @@ def emptiest(one: Formed, steps: tuple[float | None, float | None]) -> Window | 
 
 def _ways(one: Formed, size: float, slices: int) -> FloatArray:
     """How far (S,) [m] in plan the ball goes while it touches the wall in each slice of a ``size`` [m]."""
-    claim, near = one.claim, one.near
-    use = one.track.own[one.pieces.first]
-    first, last = (np.searchsorted(one.knots, rows[use]) for rows in (one.pieces.first, one.pieces.last))
-    touch = one.touches[first] & one.touches[last]
-    first, last = first[touch], last[touch]
-    centre = one.track.centre[one.knots, 0]
-    along = lengths((centre[last] - centre[first])[:, :2])
-    depth = claim.side * (claim.start - near.place[:, 2])
-    at = _slices(0.5 * (depth[first] + depth[last]), size, slices)
-    return np.asarray(np.bincount(at, weights=along, minlength=slices), dtype=np.float64)
+    claim, near, touches = one.claim, one.near, one.touches
+    out = np.zeros(slices)
+    own = np.flatnonzero(one.track.own[one.pieces.first])
+    for some in np.array_split(own, len(own) // _AT_ONCE + 1):
+        rows = one.pieces.first[some], one.pieces.last[some]
+        first, last = (np.searchsorted(one.knots, ends) for ends in rows)
+        way = one.track.centre[rows[1], 0] - one.track.centre[rows[0], 0]
+        along = np.where(touches[first] & touches[last], lengths(way[:, :2]), 0.0)
+        height = 0.5 * (near.place[first, 2] + near.place[last, 2])
+        np.add.at(out, _slices(claim.side * (claim.start - height), size, slices), along)
+    return out
 
 
 def _slices(depth: FloatArray, size: float, slices: int) -> IntArray:
