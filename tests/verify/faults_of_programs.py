@@ -133,7 +133,7 @@ def _first_off(station: Any) -> Any:
     return station and ((station[0][0], station[0][1] + 1.0), *station[1:])
 
 
-def _swapped(station: Any) -> Any:
+def _values_swapped(station: Any) -> Any:
     """Two external axes have each other's values."""
     return station and ((station[0][0], station[1][1]), (station[1][0], station[0][1]))
 
@@ -188,8 +188,8 @@ RAPID: Final = (
     ),
     Fault("post_slack_off", "elastic", {"post.steps:_written": given(0, _slack_off)}),
     Fault("gantry_value_off", "gantry", {"post.steps:_outer": result(_first_off)}),
-    Fault("gantry_values_swapped", "gantry", {"post.steps:_outer": result(_swapped)}),
-    Fault("gantry_values_swapped_krl", "gantry_krl", {"post.steps:_outer": result(_swapped)}),
+    Fault("gantry_values_swapped", "gantry", {"post.steps:_outer": result(_values_swapped)}),
+    Fault("gantry_values_swapped_krl", "gantry_krl", {"post.steps:_outer": result(_values_swapped)}),
     Fault("gantry_in_metres", "gantry", {"post.steps:_outer": result(_in_metres)}),
     Fault("gantry_order_reversed", "gantry", {"problem:in_turn": result(lambda names: names[::-1])}),
     Fault("gantry_unit_off", "gantry", {"post.rapid.program:identifier": given(0, lambda u: f"{u}_2")}),
@@ -356,7 +356,9 @@ KRL: Final = (
     Fault("krl_joints_off", "posed_krl", {"post.krl.syntax:e6axis": given(0, lambda d: d + 1.0)}),
     Fault("krl_positions_metres", "gcode_krl", {"post.steps:_written": _positions(_scaled(1e-3))}),
     Fault("krl_rounded", "gcode_krl", {"post.steps:_written": _positions(np.round)}),
-    Fault("krl_spindle_other_output", "gcode_krl", {"problem:Controller.number": result(lambda n: n + 1)}),
+    Fault(
+        "krl_spindle_other_output", "gcode_krl", {"problem:Controller.number": result(lambda n: n and n + 1)}
+    ),
     Fault("krl_ptp_fast", "posed_krl", {"post.krl.program:ptp_percent": always(100)}),
     Fault(
         "krl_wait_ms",

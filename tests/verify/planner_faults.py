@@ -37,10 +37,13 @@ CHECKS: Final[Mapping[str, Change]] = {
     target: lambda old: lambda *args, **more: []
     for target in (
         "hotwire.elastic.check:check",
+        "hotwire.elastic.check:check_driven",
+        "hotwire.elastic.check:check_heat",
         "hotwire.elastic.check:check_shape",
         "hotwire.elastic.check:misfit",
         "hotwire.elastic.job:_driven",
         "hotwire.elastic.job:_long_enough",
+        "hotwire.least_feed:check_least",
         "hotwire.straight.check:check_bow",
         "hotwire.straight.check:check_cut",
         "hotwire.straight.check:check_holder",
