@@ -20,8 +20,8 @@ def _scaled(share: float) -> Any:
 def _twice(old: Any) -> Any:
     """Screws are applied once more."""
 
-    def pose(targets: Any, arm: str, values: Any, rows: Any) -> Any:
-        found = old(targets, arm, values, rows)
+    def pose(targets: Any, arm: str, values: Any, rows: Any, *known: Any) -> Any:
+        found = old(targets, arm, values, rows, *known)
         for j, freedom in enumerate(targets.freedoms):
             if arm in getattr(freedom, "axis", {}):
                 found = found @ exp_twist(values[..., j, None] * freedom.axis[arm])
@@ -33,7 +33,7 @@ def _twice(old: Any) -> Any:
 def _before(old: Any) -> Any:
     """Screws turn about the axes of the frame that the poses are in, and not about the tool's."""
 
-    def pose(targets: Any, arm: str, values: Any, rows: Any) -> Any:
+    def pose(targets: Any, arm: str, values: Any, rows: Any, *known: Any) -> Any:
         found = targets.pose[arm][rows]
         for j, freedom in enumerate(targets.freedoms):
             if arm in getattr(freedom, "axis", {}):
@@ -206,13 +206,13 @@ TIME: Final = (
         "posed_fast",
         {
             "motion.operation:speed_limits": result(_scaled(100.0)),
-            "motion.trajectory.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r),
+            "motion.trajectory.timing:Limits": given(1, _scaled(1e4)),
         },
     ),
     Fault(
         "acceleration_unbounded",
         "posed_fast",
-        {"motion.trajectory.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r)},
+        {"motion.trajectory.timing:Limits": given(1, _scaled(1e4))},
     ),
     Fault("tcp_speed_lost", "elastic", {"motion.trajectory.timing:least_times": result(_scaled(0.05))}),
     Fault(

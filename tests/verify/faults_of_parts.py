@@ -37,6 +37,10 @@ def _mirrored_curve(found: tuple[Any, Any]) -> tuple[Any, Any]:
     return [of(curve, points=_times(y=-1.0)) for curve in found[0]], found[1]
 
 
+def _larger_curve(found: tuple[Any, Any]) -> tuple[Any, Any]:
+    return [of(curve, points=lambda p: 1.02 * p) for curve in found[0]], found[1]
+
+
 def _fewer_points(found: tuple[Any, Any]) -> tuple[Any, Any]:
     """Of each curve the second point is left out."""
     return [of(curve, points=lambda p: np.delete(p, 1, axis=0)) for curve in found[0]], found[1]
@@ -171,7 +175,7 @@ FAULTS: Final = (
     ),
     Fault("wing_trailing_edge_lost", "wing", {"geometry.wing:thickened": given(1, lambda least: 0.0)}),
     # drawings
-    Fault("dxf_unit", "ruled_file", {"reading.part_ruled:read_dxf": given(1, lambda unit: 1.02 * unit)}),
+    Fault("dxf_unit", "ruled_file", {"reading.part_ruled:read_dxf": result(_larger_curve)}),
     Fault("dxf_mirrored", "ruled_file", {"reading.part_ruled:read_dxf": result(_mirrored_curve)}),
     Fault("dxf_points_lost", "ruled_file", {"reading.part_ruled:read_dxf": result(_fewer_points)}),
     # Rhino files
