@@ -173,7 +173,9 @@ FAULTS: Final = (
         "wing",
         {"geometry.wing:wing_surface": given(0, lambda p: dataclasses.replace(p, root=p.tip, tip=p.root))},
     ),
-    Fault("wing_trailing_edge_lost", "wing", {"geometry.wing:thickened": given(1, lambda least: 0.0)}),
+    Fault(
+        "wing_trailing_edge_thick", "wing", {"geometry.wing:thickened": given(1, lambda least: 2.5 * least)}
+    ),
     # drawings
     Fault("dxf_unit", "ruled_file", {"reading.part_ruled:read_dxf": result(_larger_curve)}),
     Fault("dxf_mirrored", "ruled_file", {"reading.part_ruled:read_dxf": result(_mirrored_curve)}),
