@@ -244,7 +244,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
         raise TandemError(refused)
     made = solve.solve(problem, targets, tell, begin, before)
     problem = problem.stationed(made.stations)
-    _as_driven(jobs, made, {})
+    _as_driven(jobs, made, dict.fromkeys(range(len(jobs))))
     drawn = begin(output.pictures, problem, made) if draw else None
     issues = (*_stands(problem), *made.issues)
     made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
@@ -254,8 +254,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     made = dataclasses.replace(made, issues=(*made.issues, *sagging, *write.notes(commanded, problem)))
     files = write.written(commanded, problem)
     programs = files.files
-    if files.clocks:
-        _as_driven(jobs, made, files.clocks)
+    _as_driven(jobs, made, files.clocks)
     tell("proof", 0.0)
     del jobs, targets, files  # what the proof has no need of
     gc.collect()
@@ -266,11 +265,13 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     return Outcome(problem, made, proof, final, pictures=None if drawn is None else tuple(drawn))
 
 
-def _as_driven(jobs: Sequence[Job[Any]], made: Plan, clocks: Mapping[int, FloatArray]) -> None:
-    """Raise what processes say of the motion by its clocks, and by those of programs where they have some."""
+def _as_driven(jobs: Sequence[Job[Any]], made: Plan, clocks: Mapping[int, FloatArray | None]) -> None:
+    """Raise what processes say of the motion of operations {index: clock}: by the clock of its programs, or,
+    for None, by its own."""
     slow: list[Issue] = []
-    for index, (job, motion) in enumerate(zip(jobs, made.operations, strict=True)):
-        slow += job.driven(motion.targets, motion.time, clocks.get(index))
+    for index, clock in clocks.items():
+        motion = made.operations[index]
+        slow += jobs[index].driven(motion.targets, motion.time, clock)
     if has_errors(slow):
         raise TandemError(slow)
 

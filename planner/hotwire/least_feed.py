@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -35,20 +35,17 @@ def check_least(op: Straight | ElasticWire, targets: Targets, time: FloatArray) 
     held = math.floor(10.0 * HINTED_SHARE * got) / 10.0
     count = int(np.count_nonzero(share < LEAST_SHARE))
     more = f", as {count - 1} more do" if count > 1 else ""
-    what = (
-        f"{op.name}: the arms drive the wire at {got:.3g} mm/s on the move to {targets.name(k + 1)}{more}, "
-    )
-    what += (
-        f"which is as fast as they may at corners and in turns; in the foam {least:g} mm/s at least are asked"
-    )
-    measure: dict[str, Any] = {"value": got, "limit": least, "unit": "mm/s"}
     yield Issue(
         "motion.feed_min",
-        what,
+        f"{op.name}: the arms drive the wire at {got:.3g} mm/s on the move to {targets.name(k + 1)}{more}, "
+        "which is as fast as they may at corners and in turns; in the foam "
+        f"{least:g} mm/s at least are asked",
         field="operations.feed_min_mm_s",
         index=k + 1,
         target=targets.name(k + 1),
         hint=f"feed_min_mm_s: {held:g}, which they hold; or a lower feed_mm_s, a larger shape_tol_mm, which "
         "rounds corners more, or rounder corners",
-        **measure,
+        value=got,
+        limit=least,
+        unit="mm/s",
     )

@@ -352,8 +352,9 @@ def _station(
     placed = axis.placed(problem, setup, grid)
     before = np.array([at[name] for name in axis.names])
     most = FEW_TARGETS // len(axis.names)  # a positioner has many more values
+    aimed = with_aims(_scene(problem, index, targets), targets)
     for count in (most,) if passes is None else (FIRST_FEW, most):
-        few = few_of(setup.cell, with_aims(_scene(problem, index, targets), targets), count, False)
+        few = few_of(setup.cell, aimed, count, False)
         score = margin(few, *placed, problem.settings, _judged(targets, rest))
         tried: list[FloatArray] = []
         first: str | Issue = ""

@@ -281,9 +281,7 @@ class LogIn:
         except InvalidKeyIdError:
             raise
         except (ExpiredTokenError, InvalidTokenError) as error:  # by a clock that is wrong, as a rule
-            stamps = ", ".join(
-                f"{name} {found[name]!s:.40}" for name in ("iat", "nbf", "exp") if name in found
-            )
+            stamps = ", ".join(f"{name} {found[name]!s:.40}" for name in TIMES if name in found)
             what = f"the provider's ID token is not of now ({stamps} s since 1970; this machine's clock says "
             raise refused(f"{what}{time.time():.0f}): set both clocks, and log in again") from error
         except (JoseError, ValueError, TypeError, KeyError) as error:

@@ -232,17 +232,13 @@ def check_driven(
     row, end = np.unravel_index(int(np.argmax(deep)), deep.shape)
     worst, allowed = float(deep[row, end]), op.shape_tol_mm * MM
     if worst > USABLE_SHARE * allowed:
-        what = (
-            f"{op.name}: beside {cut.wanted.segment} the arm cannot drive the bow round the corner as fast "
-        )
-        what += f"as the feed asks for, so that it melts {worst / MM:.2f} mm into the part at "
-        what += f"{_place(beside, int(row), float(end))}"
-        hint = (
-            "take a lower feed_mm_s with less power_w, which corners slow down less, or a larger shape_tol_mm"
-        )
+        hint = "take a lower feed_mm_s with less power_w, which corners slow down less, or a larger "
+        hint += "shape_tol_mm"
         yield Issue(
             "straight.uneven",
-            what,
+            f"{op.name}: beside {cut.wanted.segment} the arm cannot drive the bow round the corner as fast "
+            f"as the feed asks for, so that it melts {worst / MM:.2f} mm into the part at "
+            f"{_place(beside, int(row), float(end))}",
             field=str(cut.wanted.segment),
             value=worst / MM,
             limit=allowed / MM,
