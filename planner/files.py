@@ -152,7 +152,7 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[st
                 side.mkdir()
             for name, content in files.items():
                 write_whole(new / name, content)
-            with unhurried():
+            with deferred_sigint():
                 for name in owned:
                     if os.path.lexists(folder / name):
                         (folder / name).replace(old / name)
@@ -172,13 +172,13 @@ def staging(folder: Path) -> Iterator[Path]:
     """
     path, handle = None, None
     try:
-        with unhurried():
+        with deferred_sigint():
             path = Path(tempfile.mkdtemp(prefix=STAGING, dir=folder))
             handle = os.open(path, os.O_RDONLY)
             fcntl.flock(handle, fcntl.LOCK_EX)
         yield path
     finally:
-        with unhurried():
+        with deferred_sigint():
             if path is not None:
                 shutil.rmtree(path, ignore_errors=True)
             if handle is not None:
@@ -198,8 +198,8 @@ def _sweep(folder: Path) -> None:
 
 
 @contextmanager
-def unhurried() -> Iterator[None]:
-    """Ctrl-C takes effect at the end of the block, not within; only the main thread is ever interrupted."""
+def deferred_sigint() -> Iterator[None]:
+    """Defer Ctrl-C to the end of the block. Does nothing outside the main thread, which alone gets it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 from planner import processes, spec
 from planner.batch import worker
-from planner.files import RELEASE, RESULT, claim_folder, is_file, unhurried, write_folder, write_whole
-from planner.geometry.memory import give_back, lasting
+from planner.files import RELEASE, RESULT, claim_folder, deferred_sigint, is_file, write_folder, write_whole
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Cell, Problem
 from planner.reading import problem as problem_file
 from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
+from planner.runtime.memory import gc_frozen, release_memory
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
@@ -43,7 +43,7 @@ MAX_PROGRAM_BYTES = 20_000_000
 def ready() -> None:
     """Import what planning, proof and report need, Drake among it: a second of work, which a process that is
     to plan later may do early. Ctrl-C waits for its end: an import that is interrupted may swallow it."""
-    with unhurried(), lasting():
+    with deferred_sigint(), gc_frozen():
         from planner import plans  # noqa: F401
         from planner.motion import solve  # noqa: F401
         from planner.post import write  # noqa: F401
@@ -258,7 +258,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     tell("proof", 0.0)
     del jobs, targets, files  # what the proof has no need of
     gc.collect()
-    give_back()  # of a long job motion leaves more than 100 MB, beside which the proof would count
+    release_memory()  # of a long job motion leaves more than 100 MB, beside which the proof would count
     proof = prove.prove(problem, claims, programs, begin)
     tell("proof", 1.0)
     final = _with_margins(commanded, problem, programs, proof) if proof.ok else {}

@@ -15,9 +15,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
-import planner
-from planner.files import RESULT, is_disk_full, is_file, staging, unhurried, versions, write_whole
+from planner.files import RESULT, deferred_sigint, is_disk_full, is_file, staging, versions, write_whole
 from planner.issues import Issue, TandemError
+from planner.runtime.version import __version__
 
 State = Literal[
     "verified", "done", "infeasible", "bad_input", "unproven", "crashed", "timeout", "memory", "cancelled"
@@ -141,7 +141,7 @@ Event = Progress | Found | Finished
 
 def all_versions() -> dict[str, str]:
     """Versions of all that a result depends on."""
-    return {"tandem": planner.__version__, **versions()}
+    return {"tandem": __version__, **versions()}
 
 
 def cancelled(name: str) -> Issue:
@@ -249,7 +249,7 @@ class Place:
                 from planner.batch.run import write_failure
 
                 write_failure(result, done.issues)
-            with unhurried():
+            with deferred_sigint():
                 if os.path.lexists(self.folder):
                     self.folder.rename(hidden / "old")
                 if self.record is not None:

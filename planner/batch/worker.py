@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, TextIO, TypeVar
 
-from planner.geometry.memory import give_back, lasting, own_process
+from planner.runtime.memory import gc_frozen, mark_own_process, release_memory
 
 if TYPE_CHECKING:
     from planner.batch.job import Done, Reports
@@ -49,7 +49,7 @@ SMALL_BYTES: Final = 1 << 16
 def main(arguments: Sequence[str], get: Callable[[], Solve] | None = None) -> int:
     """Serve until standard input ends; ``get`` gives what solves a job, by default the real thing."""
     end_with(int(arguments[0]))
-    own_process()
+    mark_own_process()
     if CALLS in arguments:
         _work_out()
         return 0
@@ -83,7 +83,7 @@ def _answer(answers: TextIO, kind: str, content: object) -> None:
 
 def _planning() -> Solve:
     """All that planning needs; importing it takes longer than many a job."""
-    with lasting():
+    with gc_frozen():
         from planner import pipeline
         from planner.batch.run import solve
         from planner.cell import plant
@@ -125,7 +125,7 @@ def _work_out() -> None:
     """Work out calls until standard input ends: a generator and its arguments, for all that it yields."""
     with os.fdopen(os.dup(1), "wb") as answers:
         os.dup2(2, 1)
-        with lasting():
+        with gc_frozen():
             from planner import pipeline
 
             pipeline.ready()
@@ -254,7 +254,7 @@ def _received(stream: Any) -> Any:
 def _tidy() -> None:
     """Give memory of the last job back, so that it is not counted as the next one's."""
     gc.collect()
-    give_back()
+    release_memory()
 
 
 if __name__ == "__main__":

@@ -39,9 +39,9 @@ from planner.cli import scan as scan_commands
 from planner.cli import service as service_commands
 from planner.cli import statement
 from planner.cli.batch import Difference, differences
-from planner.files import unhurried
-from planner.geometry.memory import lasting
+from planner.files import deferred_sigint
 from planner.issues import Issue, Severity, TandemError, accepted, given_wrong, has_errors
+from planner.runtime.memory import gc_frozen
 
 if TYPE_CHECKING:
     from planner.plans import Plan
@@ -648,7 +648,7 @@ def _pipeline() -> ModuleType:
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    with unhurried(), lasting():  # an import that is interrupted may swallow it
+    with deferred_sigint(), gc_frozen():  # an import that is interrupted may swallow it
         from planner import pipeline
 
     logging.getLogger("drake").setLevel(logging.WARNING)

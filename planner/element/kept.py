@@ -17,7 +17,6 @@ from typing import Any, Final
 
 import numpy as np
 
-import planner
 from planner.element.element_file import (
     ElasticElement,
     Element,
@@ -28,6 +27,7 @@ from planner.element.element_file import (
 from planner.files import is_file, versions
 from planner.geometry.arrays import FloatArray, transform
 from planner.reading.problem import digest, resolved
+from planner.runtime.version import __version__
 
 FILE: Final = "made_from.npz"
 """What the folder of an element was made from."""
@@ -116,6 +116,6 @@ def _input(element: Element, file: Path) -> tuple[str, FloatArray]:
         "saw": None if element.saw is None else element.saw.data,
         "left_over": [dataclasses.asdict(one) for one in element.stock],
         "faces": hashlib.sha256(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).hexdigest(),
-        "versions": {"tandem": planner.__version__, **versions()},
+        "versions": {"tandem": __version__, **versions()},
     }
     return digest(whole), np.asarray(points, dtype=np.float64)

@@ -25,7 +25,7 @@ from planner.geometry.mesh import (
     face_normals,
     small_pieces,
 )
-from planner.geometry.remembered import remembered
+from planner.runtime.memoize import memoized
 
 MIRROR: Final = np.array([1.0, 1.0, -1.0])
 """What turns points and directions of a face below the sheet over: times this, they are above."""
@@ -50,7 +50,7 @@ _MOST_PIECES: Final = 150_000
 """Pieces at most into which triangles of about one size are divided."""
 
 
-@remembered
+@memoized
 def smooth_normals(mesh: TriangleMesh) -> FloatArray:
     """Unit normals (F, 3, 3) at the corners of each face, smooth but over creases."""
     return corner_normals(mesh, CREASE_ANGLE)

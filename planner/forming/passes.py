@@ -32,9 +32,9 @@ from planner.forming.features.tree import FeatureTree, OrderStep
 from planner.forming.operation import Forming
 from planner.forming.sheet_mechanics import steepest, thickness_map
 from planner.geometry.arrays import FloatArray, Mesh
-from planner.geometry.remembered import remembered
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
+from planner.runtime.memoize import memoized
 
 _TRIALS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "forming_trials.yaml"
 """Published trials of forming, each with its source."""
@@ -270,7 +270,7 @@ def stood(before: float, operation: Forming, metal: SheetMetal) -> float:
     return max(limit + SAME_ANGLE, before + max(LARGEST_ANGLE_STEP, operation.angle_step_deg * DEG) + DEG)
 
 
-@remembered
+@memoized
 def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float, male: bool) -> Pass:
     """The last pass over a feature.
 

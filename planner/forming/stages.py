@@ -24,10 +24,10 @@ from planner.forming.features.tree import FeatureTree, OrderStep, given_order, i
 from planner.geometry.arrays import FloatArray, Mesh, Shape, transform
 from planner.geometry.mesh import small_pieces
 from planner.geometry.mesh_queries import outer_hull
-from planner.geometry.remembered import remembered
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Hole, Stages, Stock
+from planner.runtime.memoize import memoized
 
 
 def own_features(
@@ -120,7 +120,7 @@ def with_states(
     return dataclasses.replace(stock, sheet=dataclasses.replace(sheet, formed=(*sheet.formed, *more)))
 
 
-@remembered
+@memoized
 def _all_standing(
     mesh: Mesh, tree: FeatureTree, states: list[list[int]], thickness: float, known: tuple[Shape, ...]
 ) -> list[Shape]:

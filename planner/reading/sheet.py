@@ -31,12 +31,12 @@ from planner.geometry.mesh_repair import (
     sewn,
     vertex_noise,
 )
-from planner.geometry.remembered import remembered
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Formed, Part, Sheet, Stock
 from planner.reading.cell import PoseFile
 from planner.reading.strict_yaml import FileName, FileUnit, Positive, Strict
+from planner.runtime.memoize import memoized
 
 OPENING_CORNERS: Final = 72
 """Corners of a round opening, on the circle."""
@@ -468,7 +468,7 @@ def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:
         )
 
 
-@remembered
+@memoized
 def _solids(mesh: Mesh, thickness: float) -> list[Shape]:
     """Hulls (stock frame) of what stands out below and above the flat sheet."""
     out = []

@@ -28,11 +28,11 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
-import planner
 from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError, has_errors
 from planner.report import view3d
+from planner.runtime.version import __version__
 from planner.service import (
     bundled,
     draft_routes,
@@ -265,7 +265,7 @@ def _page(name: str, title: str, here: Any, status: int = 200, fault: str = "", 
     text = TEMPLATES.get_template(f"{name}.html").render(
         title=title,
         page=name,
-        version=planner.__version__,
+        version=__version__,
         tokens=here.options.tokens_required,
         accounts=here.log_in is not None,
         fault=fault,
@@ -316,7 +316,7 @@ def create_app(service: Service) -> FastAPI:
 
     app = FastAPI(
         title="Tandem",
-        version=planner.__version__,
+        version=__version__,
         description=ABOUT,
         lifespan=life,
         docs_url=None,

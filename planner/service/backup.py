@@ -29,9 +29,9 @@ from typing import Final
 from sqlalchemy import Connection, Engine, insert, inspect, select, text
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-import planner
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
+from planner.runtime.version import __version__
 from planner.service.models import (
     METADATA,
     SCHEMA,
@@ -90,7 +90,7 @@ def back_up(data: Path, database: str | None, folder: Path) -> Backup:
             shutil.rmtree(folder / FILES, ignore_errors=True)
             (folder / DATABASE).unlink(missing_ok=True)
             raise
-        about = dataclasses.asdict(made) | {"format": FORMAT, "program": planner.__version__}
+        about = dataclasses.asdict(made) | {"format": FORMAT, "program": __version__}
         about["made"] = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
         write_whole(folder / ABOUT, json.dumps(about, indent=1))
         return made

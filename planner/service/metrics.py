@@ -16,7 +16,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Proc
 from prometheus_client.exposition import generate_latest
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-import planner
+from planner.runtime.version import __version__
 from planner.service.models import State
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
@@ -98,7 +98,7 @@ def text(
         ("tandem_planning", "Whether jobs are being planned.", float(planning)),
     ):
         Gauge(name, what, registry=now).set(value)
-    Gauge("tandem_info", "Version.", ("version",), registry=now).labels(planner.__version__).set(1)
+    Gauge("tandem_info", "Version.", ("version",), registry=now).labels(__version__).set(1)
     states = Gauge("tandem_jobs", "Jobs in the store by state.", ("state",), registry=now)
     for state in get_args(State):
         states.labels(state).set(jobs.get(state, 0))

@@ -25,10 +25,10 @@ from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBea
 from pydantic import AfterValidator, Field
 from sqlalchemy.exc import SQLAlchemyError
 
-import planner
 from planner.catalogue.issue_codes import CODES
 from planner.files import RELEASE, THUMBNAIL
 from planner.issues import Issue, has_errors
+from planner.runtime.version import __version__
 from planner.service import audit, finding, idempotency, metrics, releases
 from planner.service.answers import HEAD, MadeFile, is_known, packed, stored_file, tagged
 from planner.service.cell_models import CellOut
@@ -304,7 +304,7 @@ def health(here: Here, response: Response) -> Health:
     response.status_code = 200 if healthy else 503
     return Health(
         status="ok" if healthy and counts is not None else "degraded",
-        version=planner.__version__,
+        version=__version__,
         api=API,
         api_oldest=OLDEST_API,
         workers=here.options.workers,

@@ -28,8 +28,8 @@ from sqlalchemy.exc import IntegrityError
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-import planner
 from planner.issues import Issue, TandemError
+from planner.runtime.version import __version__
 from planner.service.models import SECRETS, SESSIONS, TOKEN_ROLES, TOKENS, Database, TokenRole, TokenScope
 from planner.service.scopes import ROLE_OF, is_open, scope_fault
 
@@ -421,7 +421,7 @@ HEADERS: Final = {
     "X-Frame-Options": "SAMEORIGIN",
     "Referrer-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Tandem-Version": planner.__version__,
+    "Tandem-Version": __version__,
 }
 """Headers of every answer: nothing is guessed, framed or told to other sites; a page that was left open sees
 by the version that the service was updated."""

@@ -38,7 +38,6 @@ from planner.element.element_file import ElementFile
 from planner.element.nested_output import PROBLEMS
 from planner.files import FILE_KEYS, base_name, carried_name
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
-from planner.geometry.remembered import keeping
 from planner.geometry.thinning import thinned
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -47,6 +46,7 @@ from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Document
 from planner.report.raster import part_meshes
+from planner.runtime.memoize import use_cache
 from planner.service import kept_targets
 from planner.service.kept_files import KeptFiles
 from planner.service.upload_processes import Examined
@@ -483,7 +483,7 @@ def examine(
 ) -> Examined:
     """As :func:`_examined`; with ``kept``, what is worked out of meshes is kept in that folder, too."""
     files = None if kept is None else KeptFiles(kept)
-    with keeping(files):
+    with use_cache(files):
         return _examined(folder, problem, uploads, facets, reach, draw, targets, files, cell, fields or {})
 
 

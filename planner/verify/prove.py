@@ -18,9 +18,9 @@ import numpy as np
 from planner.cell.plant import CellModel, build
 from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
-from planner.geometry.memory import give_back
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import TILT, Problem, Settings
+from planner.runtime.memory import release_memory
 from planner.verify import result
 from planner.verify.context import Begin, Context, Outcome, Rule, at_once
 from planner.verify.forming import swept
@@ -313,7 +313,7 @@ class Prover:
         run = _Run(context)
         for _ in self._steps(context, run):
             if run.long:
-                give_back()  # what a rule leaves free would count beside the next one's arrays
+                release_memory()  # what a rule leaves free would count beside the next one's arrays
             if (first_error and run.broken) or last in run.results:
                 break
         return run.proof()
@@ -428,7 +428,7 @@ class Prover:
         for form_rule in FORMING_RULES:
             run.add(form_rule.code, form_rule(context, forming))
             if run.long:  # what one leaves free would count beside what the next one needs
-                give_back()
+                release_memory()
             yield
         outcome, formed = forming_tool.formed(context, forming, envelopes)
         run.add("verify.formed", outcome)

@@ -14,12 +14,12 @@ from scipy.spatial import cKDTree
 
 from planner import pipeline, processes
 from planner.geometry.arrays import Mesh
-from planner.geometry.remembered import keeping
 from planner.issues import has_errors
 from planner.motion import first_look
 from planner.motion.first_look import FirstLook
 from planner.problem import Problem
 from planner.reading import strict_yaml
+from planner.runtime.memoize import use_cache
 from planner.service.kept_files import KeptFiles
 from planner.service.kept_targets import maker, seen, seen_alike
 from planner.targets import Targets
@@ -264,7 +264,7 @@ def test_what_is_kept_of_a_mesh_is_never_that_of_another_edit(tmp_path: Path) ->
     for number, (mesh, one) in enumerate(edits):
         (folder := tmp_path / str(number)).mkdir()
         path = small_forming.write(folder, one, mesh)
-        with keeping(kept):
+        with use_cache(kept):
             problem = pipeline.load(path)
             few, whole = (processes.job(problem, 0, brief=brief).targets() for brief in (True, False))
         fresh = pipeline.load(path)

@@ -53,9 +53,9 @@ from planner.forming.features.surface import (
 )
 from planner.forming.features.walls import Wall, skeleton, walls
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
-from planner.geometry.remembered import remembered
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
+from planner.runtime.memoize import memoized
 
 LEAST_BUMP: Final = 50e-6
 """Height [m] below which a bump of the mesh is noise of its facets and no feature."""
@@ -115,7 +115,7 @@ class FeatureTree:
         return self.features[number - 1]
 
 
-@remembered
+@memoized
 def build(mesh: Mesh, step: float, noise: float = LEAST_BUMP) -> FeatureTree:
     """The features of a part, sliced every ``step`` [m].
 

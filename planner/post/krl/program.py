@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 
-from planner import __version__
 from planner.catalogue.robots import RobotData
 from planner.cell.kinematics import forward
 from planner.claims import vocabulary
@@ -61,6 +60,7 @@ from planner.post.program import (
 )
 from planner.post.steps import outer_names, outer_speeds
 from planner.problem import Controller, KrlDialect, Problem
+from planner.runtime.version import __version__
 from planner.targets import Action
 
 

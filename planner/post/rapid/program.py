@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import __version__
 from planner.catalogue.robots import OffsetParameters
 from planner.claims import vocabulary
 from planner.claims.vocabulary import HEADER, UNANSWERED
@@ -72,6 +71,7 @@ from planner.post.rapid.syntax import (
     zones,
 )
 from planner.problem import Controller, Problem
+from planner.runtime.version import __version__
 
 
 def partner_lines(partner: Partner, steps: Sequence[PartnerStep]) -> list[str]:

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 
-from planner import __version__
 from planner.claims import vocabulary
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.geometry.units import MM
@@ -44,6 +43,7 @@ from planner.post.trajectories.rows import JOINT_DECIMALS, TIME_DECIMALS, row
 from planner.post.trajectories.straight_ways import Driven, NotKeptError
 from planner.post.trajectories.wanted import wanted
 from planner.problem import Arm, Controller, Problem
+from planner.runtime.version import __version__
 from planner.targets import Action, Targets
 from planner.tooling import Tool
 

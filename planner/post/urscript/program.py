@@ -25,7 +25,6 @@ from typing import Final
 
 import numpy as np
 
-from planner import __version__
 from planner.catalogue.robots import ParallelParameters, RobotData
 from planner.cell.kinematics import forward
 from planner.claims import vocabulary
@@ -68,6 +67,7 @@ from planner.post.urscript.syntax import comment, mark, name
 from planner.post.urscript.torches import Torch, torches
 from planner.post.urscript.torches import functions as torch_functions
 from planner.problem import Arm, Problem
+from planner.runtime.version import __version__
 from planner.targets import Action
 from planner.tooling import Tool
 

@@ -19,9 +19,9 @@ import numpy as np
 
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, IntArray, inverse
-from planner.geometry.memory import give_back
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
+from planner.runtime.memory import release_memory
 from planner.verify.job import JobText, Stage, TaskText
 from planner.verify.programs.program_text import segment_of_name
 from planner.verify.programs.steps import MoveStep, Step
@@ -99,7 +99,7 @@ class _Player:
         if not self.segments:
             self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))
             self._still()
-        give_back()  # what a long stage leaves free counts where its arrays are joined
+        release_memory()  # what a long stage leaves free counts where its arrays are joined
         p = {key: self._joined(key) for key in list(self.parts)}
         names = [arm.name for arm in self.arms]
         return Motion(

@@ -16,8 +16,8 @@ import numpy as np
 from planner.claims.forming import FormingFeed, FormsInOrder, FormsSheet, SheetState, SinksHolder, ToolsLean
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.geometry.memory import give_back
 from planner.issues import Issue
+from planner.runtime.memory import release_memory
 from planner.verify.context import FEED_SLACK, Begin, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.forming.face import Face
 from planner.verify.forming.reached import Depths, largest_step, on_ways, while_forming
@@ -302,11 +302,11 @@ def sheet(context: Context, forming: Forming) -> Outcome:
             own = dataclasses.replace(state, tolerance=allowed)
             begun = 0.0 if formed is None else formed.begun
             ahead = [] if formed is None else _ahead(forming, formed, own, number, held)
-            give_back()  # what that leaves free would count beside what is inside the tool
+            release_memory()  # what that leaves free would count beside what is inside the tool
             asked.append(
                 (arm, allowed, *_all(formed, way, own, number, held, forming.begin, places, begun), ahead)
             )
-        give_back()  # what the balls leave free would count beside what heads are held against
+        release_memory()  # what the balls leave free would count beside what heads are held against
         for arm, allowed, heads, rest, ahead in asked:
             told = [(one, "has {:.3f} mm of the sheet inside") for one in (*heads, *rest)]
             told += [(one, "is {:.3f} mm deeper than the sheet is formed by then") for one in ahead]
@@ -354,17 +354,17 @@ def _all(
         return begin(insides, asked), []
     # balls are held against the face exactly: that of the forming tool elsewhere, the other one below
     face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
-    give_back()  # what ways of heads leave free would count beside what the balls are nearest to
+    release_memory()  # what ways of heads leave free would count beside what the balls are nearest to
     level = None if former or not held else levels(one)
     there = None if level is None else (state.side, _at_rows(one, level, still.rows))
     here = one.face if former else one.remaining_face
     if id(here) not in places:
-        give_back()  # what ways of heads leave free would count beside the divided face
+        release_memory()  # what ways of heads leave free would count beside the divided face
         places[id(here)] = _places(here)
     heads = begin(insides, [*asked, Inside(face, places[id(here)], still, state.tolerance, there)])
     if former:
         return heads, []
-    give_back()  # what divided faces leave free would count beside what the balls are held against
+    release_memory()  # what divided faces leave free would count beside what the balls are held against
     return heads, _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
 
 

@@ -1,4 +1,4 @@
-"""What is remembered is what would be worked out anew, whatever was changed."""
+"""A memoized value equals the recomputed one, whichever argument changes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.geometry.remembered import digest, keeping, remembered
 from planner.issues import Severity
+from planner.runtime.memoize import digest, memoized, use_cache
 from planner.service.kept_files import KeptFiles
 
 
@@ -64,7 +64,7 @@ def test_what_has_no_digest_is_refused(value: object) -> None:
 def test_a_value_is_worked_out_once_and_nobody_can_write_into_it(tmp_path: Path) -> None:
     calls = []
 
-    @remembered
+    @memoized
     def doubled(values: np.ndarray[Any, Any], by: float = 2.0) -> np.ndarray[Any, Any]:
         calls.append(by)
         if by == 0.0:
@@ -73,7 +73,7 @@ def test_a_value_is_worked_out_once_and_nobody_can_write_into_it(tmp_path: Path)
 
     doubled(np.ones(3)), doubled(np.ones(3))
     assert len(calls) == 2  # nobody keeps
-    with keeping(KeptFiles(tmp_path / "kept")):
+    with use_cache(KeptFiles(tmp_path / "kept")):
         doubled(np.ones(3))[:] = 7.0
         assert doubled(np.ones(3)).tolist() == [2.0, 2.0, 2.0]
         assert len(calls) == 3

@@ -1,9 +1,9 @@
-"""Values of pure functions, remembered by what these were given, where somebody keeps them.
+"""Memoization of pure functions in a cache that the caller provides.
 
-While a problem is edited most of what is worked out of its meshes stays the same from edit to edit. A key is
-the digest of the function's name and of all that it is given, arrays byte by byte, so that nothing that has
-changed has the value of something else; what a function reads elsewhere, as files, must be among that.
-Nobody keeps anything unless he says so (:func:`keeping`): a plan is made and proven without.
+While a problem is edited, most values that follow from its meshes stay the same from edit to edit. The key
+of a value is the digest of the function's name, the package version and all arguments, with arrays byte by
+byte, so that different arguments never share a value. A function that reads anything else, such as a file,
+must take its content as an argument. Caching is opt-in (:func:`use_cache`): plans and proofs do not use it.
 """
 
 from __future__ import annotations
@@ -19,56 +19,62 @@ from typing import Any, Final, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
 
-import planner
+from planner.runtime.version import __version__
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class Keeper(Protocol):
-    """Keeps values by their keys, for as long as it likes."""
+class Cache(Protocol):
+    """Stores values by key. It may drop values at any time."""
 
     def get(self, key: str) -> Any | None:
-        """A copy of what is kept under that key, or None."""
+        """Return a copy of the value under the key, or None."""
 
     def put(self, key: str, value: Any) -> None:
-        """Keep a copy of a value, or not."""
+        """Store a copy of a value, or ignore it."""
 
 
-_KEEPER: Final[ContextVar[Keeper | None]] = ContextVar("keeper", default=None)
+_CACHE: Final[ContextVar[Cache | None]] = ContextVar("cache", default=None)
 
 
 @contextmanager
-def keeping(keeper: Keeper | None) -> Iterator[None]:
-    """Within, functions that are :func:`remembered` ask ``keeper`` first."""
-    token = _KEEPER.set(keeper)
+def use_cache(cache: Cache | None) -> Iterator[None]:
+    """Let functions that are :func:`memoized` use ``cache`` inside the block."""
+    token = _CACHE.set(cache)
     try:
         yield
     finally:
-        _KEEPER.reset(token)
+        _CACHE.reset(token)
 
 
-def remembered(function: Callable[P, T]) -> Callable[P, T]:
-    """A pure function of arrays, numbers, words, and dataclasses, tuples, lists and mappings of them. Its
-    values are not None; what it raises is not kept."""
+def memoized(function: Callable[P, T]) -> Callable[P, T]:
+    """Memoize a pure function while a cache is in use.
+
+    Arguments are those that :func:`digest` accepts. The function must not return None; exceptions are not
+    cached.
+    """
 
     @functools.wraps(function)
-    def asked(*args: P.args, **more: P.kwargs) -> T:
-        keeper = _KEEPER.get()
-        if keeper is None:
-            return function(*args, **more)
-        key = digest(function.__module__, function.__qualname__, planner.__version__, args, more)
-        found = keeper.get(key)
-        if found is None:
-            found = function(*args, **more)
-            keeper.put(key, found)
-        return cast(T, found)
+    def cached(*args: P.args, **kwargs: P.kwargs) -> T:
+        cache = _CACHE.get()
+        if cache is None:
+            return function(*args, **kwargs)
+        key = digest(function.__module__, function.__qualname__, __version__, args, kwargs)
+        value = cache.get(key)
+        if value is None:
+            value = function(*args, **kwargs)
+            cache.put(key, value)
+        return cast(T, value)
 
-    return asked
+    return cached
 
 
 def digest(*values: Any) -> str:
-    """SHA-256 of values as above; raises ``TypeError`` for others."""
+    """Return the SHA-256 of arrays, numbers, strings, and dataclasses, tuples, lists and mappings of them.
+
+    Raises ``TypeError`` for other values.
+    """
     state = hashlib.sha256()
     for value in values:
         _add(state.update, value)
@@ -76,7 +82,7 @@ def digest(*values: Any) -> str:
 
 
 def _add(add: Callable[[bytes], None], value: Any) -> None:
-    """Add a value with its type and size, so that no two lists of values give the same bytes."""
+    """Add a value with its type and size, so that different lists of values never give the same bytes."""
     if isinstance(value, np.ndarray) and value.dtype != object:
         add(f"array {value.dtype.str} {value.shape};".encode())
         add(np.ascontiguousarray(value).tobytes())

@@ -1,4 +1,4 @@
-"""The collector passes over what lasts; in a user's process it looks at all that it did before."""
+"""The garbage collector skips permanent objects in the planner's own process, but none in a user's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import weakref
 
 import pytest
 
-from planner.geometry import memory
+from planner.runtime import memory
 
 
 class _Ring:
@@ -21,7 +21,7 @@ class _Ring:
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_the_collector_waits_and_then_goes_on(fails: bool) -> None:
-    with pytest.raises(ZeroDivisionError) if fails else memory.lasting(), memory.lasting():
+    with pytest.raises(ZeroDivisionError) if fails else memory.gc_frozen(), memory.gc_frozen():
         assert not gc.isenabled()
         if fails:
             raise ZeroDivisionError
@@ -31,7 +31,7 @@ def test_the_collector_waits_and_then_goes_on(fails: bool) -> None:
 def test_a_collector_that_is_off_stays_off() -> None:
     gc.disable()
     try:
-        with memory.lasting():
+        with memory.gc_frozen():
             pass
         assert not gc.isenabled()
     finally:
@@ -39,7 +39,7 @@ def test_a_collector_that_is_off_stays_off() -> None:
 
 
 def test_a_user_s_process_keeps_nothing_of_it() -> None:
-    with memory.lasting():
+    with memory.gc_frozen():
         ring = weakref.ref(_Ring())
     gc.collect()
     assert ring() is None

