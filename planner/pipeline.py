@@ -9,19 +9,20 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import gc
+import logging
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from planner import processes, spec
-from planner.batch import worker
 from planner.files import RELEASE, RESULT, claim_folder, deferred_sigint, is_file, write_folder, write_whole
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Cell, Problem
 from planner.reading import problem as problem_file
 from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
+from planner.runtime import second_process
 from planner.runtime.memory import gc_frozen, release_memory
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
     from planner.plans import Plan
     from planner.report.cell_picture import Picture
     from planner.report.replay import Viewer
+    from planner.runtime.executor import Executor
     from planner.targets import Job, Targets
-    from planner.verify.context import Begin
     from planner.verify.partial import Partial
     from planner.verify.result import Proof
 
@@ -49,6 +50,16 @@ def ready() -> None:
         from planner.post import write  # noqa: F401
         from planner.report import output  # noqa: F401
         from planner.verify import partial, prove  # noqa: F401
+
+
+def warm_up() -> None:
+    """Import what planning needs in a process that is about to plan, and hide Drake's informational log."""
+    ready()
+    logging.getLogger("drake").setLevel(logging.WARNING)
+
+
+WARM_UP: Final = "planner.pipeline:warm_up"
+"""The function above, as a second process gets it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -213,8 +224,8 @@ def plan(
     """
     problem, tell = built(problem), progress or _silent
     before = former(like) if isinstance(like, str | Path) else like
-    with worker.beginning(processes) as begin:
-        return _planned(problem, tell, begin, processes > 1, before)
+    with second_process.open_executor(processes, WARM_UP) as executor:
+        return _planned(problem, tell, executor, processes > 1, before)
 
 
 def former(folder: str | Path) -> Former:
@@ -226,8 +237,10 @@ def former(folder: str | Path) -> Former:
     return Former(made, problem)
 
 
-def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before: Former | None) -> Outcome:
-    """What :func:`plan` gives; ``begin`` begins what another process may do, with ``draw`` the pictures;
+def _planned(
+    problem: Problem, tell: Progress, executor: Executor, draw: bool, before: Former | None
+) -> Outcome:
+    """What :func:`plan` gives; ``executor`` runs independent work, with ``draw`` the pictures too;
     ``before``: what it is planned like."""
     tell("targets", 0.0)
     ready()
@@ -242,10 +255,10 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     refused = [*write.refusals(problem, targets), *prove.unproven(claims)]
     if refused:
         raise TandemError(refused)
-    made = solve.solve(problem, targets, tell, begin, before)
+    made = solve.solve(problem, targets, tell, executor, before)
     problem = problem.stationed(made.stations)
     _as_driven(jobs, made, dict.fromkeys(range(len(jobs))))
-    drawn = begin(output.pictures, problem, made) if draw else None
+    drawn = executor.submit(output.pictures, problem, made) if draw else None
     issues = (*_stands(problem), *made.issues)
     made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
     tell("programs", 0.0)
@@ -259,7 +272,7 @@ def _planned(problem: Problem, tell: Progress, begin: Begin, draw: bool, before:
     del jobs, targets, files  # what the proof has no need of
     gc.collect()
     release_memory()  # of a long job motion leaves more than 100 MB, beside which the proof would count
-    proof = prove.prove(problem, claims, programs, begin)
+    proof = prove.prove(problem, claims, programs, executor)
     tell("proof", 1.0)
     final = _with_margins(commanded, problem, programs, proof) if proof.ok else {}
     return Outcome(problem, made, proof, final, pictures=None if drawn is None else tuple(drawn))
@@ -405,16 +418,16 @@ def _unseen(cell: Cell) -> Iterator[Issue]:
 def verify(problem: Problem | spec.Problem, programs: Mapping[str, str], processes: int = 1) -> Proof:
     """Prove programs from their text and the problem alone; ``processes`` as for :func:`plan`."""
     problem = built(problem)
-    with worker.beginning(processes) as begin:
-        return _proven(problem, programs, begin)
+    with second_process.open_executor(processes, WARM_UP) as executor:
+        return _proven(problem, programs, executor)
 
 
-def _proven(problem: Problem, programs: Mapping[str, str], begin: Begin) -> Proof:
-    """The proof of programs; ``begin`` begins what another process may do."""
+def _proven(problem: Problem, programs: Mapping[str, str], executor: Executor) -> Proof:
+    """The proof of programs; ``executor`` runs independent work."""
     ready()
     from planner.verify import prove
 
-    return prove.prove(problem, processes.claims(problem), programs, begin)
+    return prove.prove(problem, processes.claims(problem), programs, executor)
 
 
 _PROGRAM_SUFFIXES = frozenset(

@@ -28,6 +28,7 @@ from typing import Any, Self
 
 from planner.batch.job import Done, Event, Finished, Found, Job, Place, Progress, Record, State, cancelled
 from planner.issues import Issue, TandemError
+from planner.runtime.second_process import module_path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Threads of the linear algebra: one of each, as for ``tandem plan``, unless the environment says more."""
@@ -134,11 +135,6 @@ def _signal_name(number: int) -> str:
 def _environment(unset: Collection[str]) -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if name not in unset}
     return {**dict.fromkeys(THREADS, "1"), **kept, "PYTHONPATH": module_path()}
-
-
-def module_path() -> str:
-    """The module path of this process, so that another one imports the same code."""
-    return os.pathsep.join(entry for entry in sys.path if entry)
 
 
 AHEAD = 2

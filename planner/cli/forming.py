@@ -12,7 +12,7 @@ import dataclasses
 import io
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -218,18 +218,18 @@ def _solved(
 ) -> list[Curve]:
     """The curves of all points, on all cores: each process works out every so manieth. At ``shares`` of the
     expected forces, or at those of a whole curve."""
-    from planner.batch.worker import Second
     from planner.forming.springback.curves import LOAD_SHARES
     from planner.forming.springback.forecast import curves
+    from planner.pipeline import WARM_UP
+    from planner.runtime.second_process import SecondProcess
 
     loads = LOAD_SHARES if shares is None else shares
     count = max(1, min(usable_cores(), len(points)))
     with contextlib.ExitStack() as stack:
-        begins: list[Callable[..., Iterator[Curve]]] = [
-            stack.enter_context(Second()).begin for _ in range(count - 1)
-        ]
+        executors = [stack.enter_context(SecondProcess(WARM_UP)) for _ in range(count - 1)]
         others = [
-            begin(curves, work, points[k + 1 :: count], triangles, loads) for k, begin in enumerate(begins)
+            executor.submit(curves, work, points[k + 1 :: count], triangles, loads)
+            for k, executor in enumerate(executors)
         ]
         parts = [list(curves(work, points[::count], triangles, loads)), *(list(other) for other in others)]
     found: list[Curve | None] = [None] * len(points)

@@ -16,7 +16,7 @@ from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import diagnosis, transit, ways
 from planner.motion.former import FormerPath
-from planner.motion.planning_scene import Begin, Scene, here
+from planner.motion.planning_scene import Scene
 from planner.motion.search import path_search
 from planner.motion.search.ladder_search import Blocked, Found, speed_limits
 from planner.motion.search.path_search import find_path
@@ -31,6 +31,7 @@ from planner.motion.trajectory.trajopt import Improved, improve, path_cost
 from planner.motion.trajectory.windows import Windows
 from planner.plans import OperationPlan
 from planner.problem import Cell, Settings
+from planner.runtime.executor import SERIAL, Executor
 from planner.targets import Targets
 
 CLEARANCE_WEIGHT = 0.5
@@ -74,7 +75,7 @@ def plan_operation(
     stock_pose: FloatArray,
     model: CellModel | None = None,
     bases: Mapping[str, FloatArray] | None = None,
-    begin: Begin = here,
+    executor: Executor = SERIAL,
     former: FormerPath | None = None,
     fine: bool = True,
     known: tuple[Grid, Found] | None = None,
@@ -82,7 +83,7 @@ def plan_operation(
     """The plan of one operation named ``name`` with the stock at ``stock_pose`` (4, 4) in the world.
 
     ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions,
-    which only benchmarks and tests want. ``begin``: where ways from home and back are found beside the rest.
+    which only benchmarks and tests want. ``executor`` plans ways from home and back.
     ``former``: a path that was planned before, of which is taken over what holds; a note tells it. ``known``:
     what :func:`find_path` gave for these targets here.
 
@@ -96,13 +97,13 @@ def plan_operation(
     near = _Near(former, fine, known if aimed is targets else None)
     targets = aimed
     targets, found = _path(scene, targets, watch, near)
-    avoid = _avoid(scene, targets, begin)
+    avoid = _avoid(scene, targets, executor)
     better, kept = _improve(scene, targets, found, avoid, watch)
     families = {scene.chains[arm].robot.family for arm in targets.arms}
     synchronised = cell.controller.sync == "multimove" and families == {"ABB"}
     before = None if former is None else former.ways
     stands = scene.standing(targets, 0), scene.standing(targets, -1)
-    homeward = ways.BothWays(stands[0], _ends(targets, better.q), synchronised, begin, before, stands[1])
+    homeward = ways.BothWays(stands[0], _ends(targets, better.q), synchronised, executor, before, stands[1])
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnosis.require_moves(scene, targets, found.path.branch, samples)
@@ -241,15 +242,15 @@ def _path(scene: Scene, targets: Targets, watch: _Watch, near: _Near) -> tuple[T
     return mended, again
 
 
-def _avoid(scene: Scene, targets: Targets, begin: Begin = here) -> Avoid | None:
-    """What measures distances along paths of the targets, None where nothing is in the way; ``begin``: where
-    it works out some of them beside the others."""
+def _avoid(scene: Scene, targets: Targets, executor: Executor = SERIAL) -> Avoid | None:
+    """What measures distances along paths of the targets, None where nothing is in the way; ``executor``
+    computes some of them."""
     if scene.model is None:
         return None
     kinds = scene.by_kind(targets, np.arange(targets.count))
     model = scene.bodies(targets) or scene.model
     wanted = scene.settings.clearance
-    return Avoid(model, targets.arms, wanted, CLEARANCE_WEIGHT, kinds, begin=begin)
+    return Avoid(model, targets.arms, wanted, CLEARANCE_WEIGHT, kinds, executor=executor)
 
 
 def _improve(

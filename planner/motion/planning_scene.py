@@ -14,8 +14,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -296,16 +295,6 @@ TRANSIT_KIND = "transit"
 
 HELD_PREFIX = "held:"
 """Work frames that another arm's tool carries are named by this and that arm."""
-
-
-Begin = Callable[..., Iterator[Any]]
-"""What begins a call of a generator function with its arguments, and gives back what that yields: perhaps
-from another process, which works it out from now on."""
-
-
-def here(work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
-    """Works a call out in this process, where it is asked for."""
-    return work(*arguments)
 
 
 DISTANCE_BATCH = 64

@@ -26,12 +26,13 @@ from planner.motion.first_look import FirstLook
 from planner.motion.former import Former, place_told, unlike_told
 from planner.motion.operation import NoCoarsePathError, plan_operation
 from planner.motion.placement import Place, Search, Trace
-from planner.motion.planning_scene import Begin, Chain, Scene, here
+from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.ladder_search import Blocked, Found
 from planner.motion.search.path_search import find_path, with_aims
 from planner.motion.search.reach import Grid, slides_only
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
+from planner.runtime.executor import SERIAL, Executor
 from planner.targets import JointFreedom, Targets
 
 SPLINE_CLEARANCE_M: Final = 4e-3
@@ -130,12 +131,12 @@ def solve(
     problem: Problem,
     targets: Sequence[Targets],
     progress: Progress | None = None,
-    begin: Begin = here,
+    executor: Executor = SERIAL,
     former: Former | None = None,
 ) -> Plan:
-    """The plan of all operations of a problem, given the targets of each. ``begin``: what begins work that
-    waits for no other, perhaps in another process; the plan is the same wherever that is. ``former``: a plan
-    of a problem like this one, of which is taken over what holds; notes tell what did and what did not.
+    """The plan of all operations of a problem, given the targets of each. ``executor`` runs
+    independent work; the plan is the same whatever it is. ``former``: a plan of a problem like this one, of
+    which is taken over what holds; notes tell what did and what did not.
 
     Every setup has a cell and a block of its own. Where the block is not moved between setups, one place is
     found for all of them; bases that may be moved are found with the first place and stay. Raises
@@ -145,7 +146,7 @@ def solve(
     problem, targets = stations.stationed(problem, targets)
     at = [0]
     try:
-        return _solve(problem, targets, progress or _silent, at, begin, former)
+        return _solve(problem, targets, progress or _silent, at, executor, former)
     except TandemError as error:
         raise TandemError(_advised(problem, targets, at[0], error.issues)) from error
 
@@ -170,7 +171,7 @@ def _solve(
     targets: Sequence[Targets],
     tell: Progress,
     at: list[int],
-    begin: Begin = here,
+    executor: Executor = SERIAL,
     former: Former | None = None,
 ) -> Plan:
     """As :func:`solve`; ``at`` is set to the operation that is planned."""
@@ -184,11 +185,11 @@ def _solve(
     places: list[FloatArray] = []
     operations: list[OperationPlan] = []
     stands = setup_groups(problem, targets)
-    begun = _begun(problem, stands, bases, begin, former)
+    begun = _begun(problem, stands, bases, executor, former)
     for stand in stands:
         stand = stand if not places else stand.based(bases)
         calls = begun.get(stand.setups[0].number)
-        settled = _settle(problem, stand, tell, at, begin, former) if calls is None else _told(calls, at)
+        settled = _settle(problem, stand, tell, at, executor, former) if calls is None else _told(calls, at)
         settled.into(metrics, stand)
         notes += settled.notes
         bases.update(settled.place.bases)
@@ -325,7 +326,7 @@ def _begun(
     problem: Problem,
     stands: Sequence[Stand],
     bases: Mapping[str, FloatArray],
-    begin: Begin,
+    executor: Executor,
     former: Former | None,
 ) -> dict[int, Iterator[_Settled | _Refused]]:
     """The stands behind the first one, by the number of their first setup, the last one begun first: whoever
@@ -335,7 +336,7 @@ def _begun(
     out = {}
     for before, stand in reversed(list(itertools.pairwise(stands))):
         last = before.setups[-1].operations[-1]
-        out[stand.setups[0].number] = begin(_settled, problem, stand.based(bases), last, former)
+        out[stand.setups[0].number] = executor.submit(_settled, problem, stand.based(bases), last, former)
     return out
 
 
@@ -372,7 +373,7 @@ def _settle(
     stand: Stand,
     tell: Progress,
     at: list[int],
-    begin: Begin = here,
+    executor: Executor = SERIAL,
     former: Former | None = None,
 ) -> _Settled:
     """A place and the plans of all operations of one stand."""
@@ -384,7 +385,7 @@ def _settle(
         place = Place(stand.place, {}, 0.0, 0)
         if found := _inside(problem, stand, models):
             raise TandemError(found)
-        return _Settled(place, _plan(problem, stand, models, place, tell, at, begin, former), stages, None)
+        return _Settled(place, _plan(problem, stand, models, place, tell, at, executor, former), stages, None)
     _require_home(problem, stand, models)
     tell("placement", 0.0)
     lap = time.perf_counter()
@@ -395,7 +396,7 @@ def _settle(
         stages["placement"] = time.perf_counter() - lap
         if isinstance(known, Place):
             try:
-                operations = _plan(problem, stand, models, known, tell, at, begin, former)
+                operations = _plan(problem, stand, models, known, tell, at, executor, former)
             except TandemError as error:
                 known = f"no plan there: {error.issues[0].message}"
             else:
@@ -404,7 +405,7 @@ def _settle(
         notes.append(place_told(name, first, known, None))
     places, trace = _search(problem, stand).run(stand.each(models))
     stages["placement"] = time.perf_counter() - lap
-    place, operations = _first_that_works(problem, stand, models, places, trace, tell, at, begin)
+    place, operations = _first_that_works(problem, stand, models, places, trace, tell, at, executor)
     return _Settled(place, operations, stages, trace.metrics(place.number), tuple(notes))
 
 
@@ -421,7 +422,7 @@ def _plan(
     place: Place,
     tell: Progress,
     at: list[int],
-    begin: Begin,
+    executor: Executor,
     former: Former | None = None,
     fine: bool = True,
     paths: _Paths | None = None,
@@ -443,7 +444,7 @@ def _plan(
                 place.stock,
                 placed,
                 place.bases,
-                begin,
+                executor,
                 fine=fine,
                 known=None if paths is None else paths.get(index),
             )
@@ -467,7 +468,7 @@ def _first_that_works(
     trace: Trace,
     tell: Progress,
     at: list[int],
-    begin: Begin,
+    executor: Executor,
 ) -> tuple[Place, list[OperationPlan]]:
     """The first place at which all operations have plans: of those that need no fine samples, which take
     long, else of all. While every other one is planned, the path at the next is looked for ahead, perhaps in
@@ -485,11 +486,11 @@ def _first_that_works(
                     continue
                 known = {first: found}
             elif not fine and k + 1 < len(tried):
-                ahead = _looked_ahead(problem, stand, models[0], tried[k + 1], begin)
+                ahead = _looked_ahead(problem, stand, models[0], tried[k + 1], executor)
             if k in failed:
                 continue
             try:
-                return place, _plan(problem, stand, models, place, tell, at, begin, fine=fine, paths=known)
+                return place, _plan(problem, stand, models, place, tell, at, executor, fine=fine, paths=known)
             except NoCoarsePathError:
                 continue
             except TandemError as error:
@@ -499,13 +500,13 @@ def _first_that_works(
 
 
 def _looked_ahead(
-    problem: Problem, stand: Stand, model: CellModel, place: Place, begin: Begin
+    problem: Problem, stand: Stand, model: CellModel, place: Place, executor: Executor
 ) -> Iterator[tuple[Grid, Found] | None] | None:
     """Begins the search of a path for the first operation of a stand at a place, with the samples that are
     tried first; None where tools are aimed there, which the plan itself does."""
     job, placed = stand.jobs[0][0], model.with_stock(place.stock).with_bases(place.bases)
     scene = Scene.of(stand.setups[0].cell, job.arms, place.stock, problem.settings, placed, place.bases)
-    return begin(_coarse_path, scene, job) if with_aims(scene, job) is job else None
+    return executor.submit(_coarse_path, scene, job) if with_aims(scene, job) is job else None
 
 
 def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[Grid, Found] | None]:

@@ -22,7 +22,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.motion import own_clearance
-from planner.motion.planning_scene import Begin, Scene, here
+from planner.motion.planning_scene import Scene
 from planner.motion.rrt import Places, blocked_places, connect
 from planner.motion.shortening import (
     MOST_MOVES,
@@ -34,6 +34,7 @@ from planner.motion.shortening import (
     travel,
 )
 from planner.motion.trajectory.hinges import levers
+from planner.runtime.executor import SERIAL, Executor
 from planner.targets import Targets
 
 POSTURE_STEPS_RAD = np.deg2rad([3.0, 1.0, 0.3])
@@ -75,22 +76,23 @@ class BothWays:
         scene: Scene,
         ends: Mapping[str, FloatArray],
         synchronised: bool,
-        begin: Begin = here,
+        executor: Executor = SERIAL,
         former: tuple[Ways, Ways] | None = None,
         leaving: Scene | None = None,
     ) -> None:
         self.ends, self._synchronised = ends, synchronised
         self._scenes = scene, scene if leaving is None else leaving
         self._former = None if former is None else (former[0], _backwards(former[1]))
-        self._first = self._begun(tuple(ends), begin)
+        self._first = self._begun(tuple(ends), executor)
 
-    def _begun(self, order: tuple[str, ...], begin: Begin) -> list[Iterator[Ways | _Stuck]]:
+    def _begun(self, order: tuple[str, ...], executor: Executor) -> list[Iterator[Ways | _Stuck]]:
         """The ways in and out; of two that wait, whoever asks works out the one in beside the other."""
         scenes = [dataclasses.replace(scene) for scene in self._scenes]  # without what they have kept
         goals = [{arm: q[row] for arm, q in self.ends.items()} for row in (0, 1)]
         known = self._former or (None, None)
         leaving, entering = (
-            begin(_found, scenes[row], goals[row], order, self._synchronised, known[row]) for row in (1, 0)
+            executor.submit(_found, scenes[row], goals[row], order, self._synchronised, known[row])
+            for row in (1, 0)
         )
         return [entering, leaving]
 
@@ -99,7 +101,7 @@ class BothWays:
         no order has both."""
         failed: Issue | None = None
         for order in itertools.permutations(self.ends):
-            calls = self._first if order == tuple(self.ends) else self._begun(order, here)
+            calls = self._first if order == tuple(self.ends) else self._begun(order, SERIAL)
             ends = zip(calls, self._scenes, (0, targets.count - 1), strict=True)
             for call, scene, row in ends:
                 ways = next(call)

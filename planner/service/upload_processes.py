@@ -24,8 +24,9 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from planner.batch.workers import THREADS, module_path
+from planner.batch.workers import THREADS
 from planner.issues import Issue
+from planner.runtime.second_process import module_path
 from planner.service.security import RefusedError
 
 MB: Final = 1 << 20
@@ -340,10 +341,10 @@ def _from_json(data: dict[str, Any]) -> Examined:
 
 def serve() -> None:
     """Fork who reads, and another one whenever it is ended, until standard input ends."""
-    from planner.batch.worker import end_with
+    from planner.runtime.second_process import exit_with_parent
     from planner.service import upload_reader  # noqa: F401
 
-    end_with(int(sys.argv[1]))
+    exit_with_parent(int(sys.argv[1]))
     limit = int(float(sys.argv[2]) * MB)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -367,7 +368,7 @@ def serve() -> None:
             for number in SIGNALS:
                 signal.signal(number, signal.SIG_DFL)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-            end_with(own)
+            exit_with_parent(own)
             _drain(0)
             answers.write(f"\n{BEGUN} {ended}\n")  # what another one had begun to write ends here
             answers.flush()

@@ -10,9 +10,9 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
-from typing import Any, Generic, ParamSpec, Protocol, TypeVar
+from typing import Generic, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -86,22 +86,6 @@ class Rule(Generic[P, R_co]):
 def rule(code: str, *proves: type) -> Callable[[Callable[P, R_co]], Rule[P, R_co]]:
     """Makes a function a rule of that code, which proves claims of those kinds."""
     return lambda look: Rule(code, proves, look)
-
-
-Found = TypeVar("Found")
-
-
-class Begin(Protocol):
-    """Begins a call of a generator function and gives back what it yields: perhaps from another process,
-    which then works it out from now on."""
-
-    def __call__(self, work: Callable[..., Iterator[Found]], *arguments: Any) -> Iterator[Found]:
-        """What ``work`` yields for ``arguments``."""
-
-
-def at_once(work: Callable[..., Iterator[Found]], *arguments: Any) -> Iterator[Found]:
-    """Works out a call in this process, where it is asked for."""
-    return work(*arguments)
 
 
 @dataclasses.dataclass(frozen=True)

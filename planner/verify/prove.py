@@ -20,9 +20,10 @@ from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import TILT, Problem, Settings
+from planner.runtime.executor import SERIAL, Executor
 from planner.runtime.memory import release_memory
 from planner.verify import result
-from planner.verify.context import Begin, Context, Outcome, Rule, at_once
+from planner.verify.context import Context, Outcome, Rule
 from planner.verify.forming import swept
 from planner.verify.forming.face import Face
 from planner.verify.forming.state import Forming, Left, begun_faces
@@ -292,11 +293,11 @@ def unproven(claims: Mapping[str, tuple[Claim, ...]]) -> list[Issue]:
 @dataclasses.dataclass
 class Prover:
     """Proves programs of one problem. Keeps the Drake models of its setups and the faces of its claims
-    between proofs, which then start at once. ``begin``: what begins rules that no other rule waits for."""
+    between proofs, which then start at once. ``executor`` checks rules that no other rule waits for."""
 
     problem: Problem
     claims: Mapping[str, tuple[Claim, ...]]
-    begin: Begin = at_once
+    executor: Executor = SERIAL
     _models: dict[int, CellModel] = dataclasses.field(default_factory=dict)
     _faces: list[tuple[float, Face]] = dataclasses.field(default_factory=list)
     _worked_out: tuple[Mapping[str, tuple[Claim, ...]], tuple[Issue, ...]] | None = None
@@ -319,8 +320,8 @@ class Prover:
         return run.proof()
 
     def __getstate__(self) -> dict[str, Any]:
-        """For another process, which has models of its own and begins nothing elsewhere."""
-        return {**vars(self), "begin": at_once, "_models": {}, "_faces": []}
+        """For another process, which has models of its own and starts no process."""
+        return {**vars(self), "executor": SERIAL, "_models": {}, "_faces": []}
 
     def model(self, context: Context, index: int = 0) -> CellModel:
         """The cell of a setup, by its index, with block, bases and what is tilted where the text has them."""
@@ -355,7 +356,7 @@ class Prover:
             return  # where arms are does not follow from their files
         if not context.readable:
             return
-        left = begun_faces(context, self.begin)
+        left = begun_faces(context, self.executor)
         for rule in TASK_RULES:
             run.add(rule.code, rule(context))
             yield
@@ -410,10 +411,10 @@ class Prover:
     def _physics(self, context: Context, run: _Run, left: Left) -> Iterator[None]:
         run.long = len(context.motion.time) > MOST_SENT_SAMPLES
         if not run.long:
-            begin, of_bodies = self.begin, self.begin(self._of_bodies, context)
+            executor, of_bodies = self.executor, self.executor.submit(self._of_bodies, context)
         else:
-            begin, looks = at_once, clearance.looks(context)
-            found = self.begin(
+            executor, looks = SERIAL, clearance.looks(context)
+            found = self.executor.submit(
                 self._measured,
                 context.places,
                 context.bases_by_setup,
@@ -422,9 +423,9 @@ class Prover:
                 context.problem.settings,
             )
             of_bodies = self._of_bodies(context, (looks, found))
-        forming = run.forming = Forming(context, self.begin, left, self._faces)
+        forming = run.forming = Forming(context, self.executor, left, self._faces)
         passes = [swept.Swept.of(one) for one in forming.formed]
-        envelopes = (self.begin if passes else at_once)(swept.envelopes, passes)
+        envelopes = (self.executor if passes else SERIAL).submit(swept.envelopes, passes)
         for form_rule in FORMING_RULES:
             run.add(form_rule.code, form_rule(context, forming))
             if run.long:  # what one leaves free would count beside what the next one needs
@@ -433,7 +434,7 @@ class Prover:
         outcome, formed = forming_tool.formed(context, forming, envelopes)
         run.add("verify.formed", outcome)
         yield
-        milling = Milling(context, begin)
+        milling = Milling(context, executor)
         outcome, milled = milling_cutter.milled(context, milling)
         run.add("verify.milled", outcome)
         yield
@@ -446,7 +447,9 @@ class Prover:
             yield
         wires = all_wires(context)
         run.wires = wires
-        of_wires = begin(self._of_wires, context, wires) if wires else self._of_wires(context, wires)
+        of_wires = (
+            executor.submit(self._of_wires, context, wires) if wires else self._of_wires(context, wires)
+        )
         for rule in WIRE_RULES:
             run.add(rule.code, rule(context, wires))
             yield
@@ -548,16 +551,16 @@ def prove(
     problem: Problem,
     claims: Mapping[str, tuple[Claim, ...]],
     programs: Mapping[str, str],
-    begin: Begin = at_once,
+    executor: Executor = SERIAL,
 ) -> Proof:
     """Prove programs from their text.
 
-    ``claims`` {operation: claims} follow from the problem; ``programs`` {file name: text}. ``begin``: where
-    rules are looked at that wait for no other; the proof is the same wherever that is. What is wrong
-    with the programs is in the proof; raises ``TandemError`` for programs so long that they are not looked at
+    ``claims`` {operation: claims} follow from the problem; ``programs`` {file name: text}.
+    ``executor`` checks independent rules; the proof is the same whatever it is. What is wrong with the
+    programs is in the proof; raises ``TandemError`` for programs so long that they are not looked at
     (verify.duration), and for claims that no rule proves (claims.unproven, claims.none).
     """
     refused = unproven(claims)
     if refused:
         raise TandemError(refused)
-    return Prover(problem, claims, begin).prove(programs)
+    return Prover(problem, claims, executor).prove(programs)

@@ -18,7 +18,7 @@ from planner.motion import diagnosis, operation, place_margin, placement
 from planner.motion import solve as solve_module
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search
-from planner.motion.planning_scene import Chain, Scene, here
+from planner.motion.planning_scene import Chain, Scene
 from planner.motion.search.ladder_search import Blocked, Found, search
 from planner.motion.search.path_search import find_path
 from planner.motion.search.reach import sample
@@ -28,6 +28,7 @@ from planner.motion.trajectory import timing
 from planner.motion.trajectory.joint_path import dense
 from planner.problem import Change, Settings
 from planner.reading.stock import PEDESTAL
+from planner.runtime.executor import SerialExecutor
 from planner.targets import Targets
 from planner.tooling import wire_holder
 from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, pair, problem, s_curve, two_arms
@@ -257,11 +258,12 @@ def test_every_other_place_is_looked_at_ahead_and_known_then(
     job = problem(two_arms(1.8), targets, None)
     begun, tried = [], []
 
-    def begin(work: Any, *arguments: Any) -> Any:
-        if work is not solve_module._coarse_path:
-            return here(work, *arguments)
-        begun.append(arguments)
-        return iter([next(work(*arguments)) if coarse else None])
+    class Recorder(SerialExecutor):
+        def submit(self, work: Any, *arguments: Any) -> Any:
+            if work is not solve_module._coarse_path:
+                return work(*arguments)
+            begun.append(arguments)
+            return iter([next(work(*arguments)) if coarse else None])
 
     def plan(*given: Any, fine: bool, paths: Any, **_: Any) -> Any:
         tried.append(given[3])
@@ -273,7 +275,7 @@ def test_every_other_place_is_looked_at_ahead_and_known_then(
 
     plan_of = solve_module._plan
     monkeypatch.setattr(solve_module, "_plan", plan)
-    made = solve(job, [targets], begin=begin)
+    made = solve(job, [targets], executor=Recorder())
     stand = setup_groups(job, [targets])[0]
     places, _ = solve_module._search(job, stand).run(stand.each(stand.models()))
     assert [place.number for place in tried] == [places[k].number for k in planned]

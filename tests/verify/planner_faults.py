@@ -261,11 +261,11 @@ def _planned(path: Path, first_error: bool) -> Verdict:
     written: dict[str, str] = {}
     own = prove.prove
 
-    def watched(problem: Problem, claims: Any, programs: Mapping[str, str], *begin: Any) -> Proof:
+    def watched(problem: Problem, claims: Any, programs: Mapping[str, str], *executor: Any) -> Proof:
         written.update(programs)
         if first_error:
-            return prove.Prover(problem, claims, *begin).prove(programs, first_error=True)
-        return own(problem, claims, programs, *begin)
+            return prove.Prover(problem, claims, *executor).prove(programs, first_error=True)
+        return own(problem, claims, programs, *executor)
 
     prove.prove = watched
     try:

@@ -20,8 +20,9 @@ from planner.cell.bounds import Bounds
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, transform
-from planner.motion.planning_scene import FULL_TURN, Begin, Chain, Scene, here
+from planner.motion.planning_scene import FULL_TURN, Chain, Scene
 from planner.motion.search.reach import PENALTY, SOFT_LIMIT_RAD, SOFT_SINGULARITY_RAD
+from planner.runtime.executor import SERIAL, Executor
 from planner.targets import Targets
 from planner.tooling import working_solid
 
@@ -168,8 +169,8 @@ class Avoid:
     the wrist moves against each other (hand and forearm of one arm) are always near, and would spoil the
     bounds: they are followed by their gradients. ``kinds`` are pairs of bodies that may meet, with the rows
     where they may. ``soft`` [m]: distances up to this above ``wanted`` count.
-    ``asked`` counts the targets that were measured. ``begin``: where half of many bounds
-    are worked out beside the others.
+    ``asked`` counts the targets that were measured. ``executor`` computes half of the
+    bounds if there are many.
     """
 
     def __init__(
@@ -180,10 +181,10 @@ class Avoid:
         weight: float,
         kinds: Sequence[tuple[Pairs, IndexArray]] = (),
         soft: float = SOFT_CLEARANCE_M,
-        begin: Begin = here,
+        executor: Executor = SERIAL,
     ) -> None:
         self._model, self._arms, self._wanted, self._weight = model, arms, wanted, weight
-        self._soft, self._begin = soft, begin
+        self._soft, self._executor = soft, executor
         self.asked = 0
         self._columns = np.concatenate([np.arange(model.home.size)[model.columns[arm]] for arm in arms])
         self._parts = columns_of({arm: model.robots[arm] for arm in arms})
@@ -261,8 +262,8 @@ class Avoid:
             for index in np.array_split(rows, -(-len(rows) // clearance.CONFIGURATIONS_AT_ONCE) or 1)
             if len(index)
         ]
-        shared = self._begin if len(parts) >= SHARED_PARTS else here
-        aside = [shared(_bounded, *self._placed(q, *part), limit + far) for part in parts[1::2]]
+        executor = self._executor if len(parts) >= SHARED_PARTS else SERIAL
+        aside = [executor.submit(_bounded, *self._placed(q, *part), limit + far) for part in parts[1::2]]
         for k, (bounds, index) in enumerate(parts):
             lower = next(aside[k // 2] if k % 2 else _bounded(*self._placed(q, bounds, index), limit + far))
             bound[index] = np.minimum(lower, limit + far) - BOUND_ERROR

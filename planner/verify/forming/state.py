@@ -17,7 +17,8 @@ from planner.claims.claim import Claim
 from planner.claims.forming import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse, lengths
-from planner.verify.context import Begin, Context, at_once
+from planner.runtime.executor import SERIAL, Executor
+from planner.verify.context import Context
 from planner.verify.forming.face import Face, Nearest, left_by
 from planner.verify.forming.level import OneLevel, now
 from planner.verify.forming.level import told as levels_told
@@ -451,27 +452,29 @@ Left = Mapping[int, Iterator[Face | None]]
 """What has been begun of :func:`left_of`, by the ``id`` of the claim."""
 
 
-def begun_faces(context: Context, begin: Begin) -> Left:
+def begun_faces(context: Context, executor: Executor) -> Left:
     """Begins what is left of faces on whose other side a tool supports the sheet: that follows from claims
     alone, so it is worked out while texts are read, where another process has the time."""
     claims = [claim for setup in context.setup_claims for group in setup.groups for claim in now(group)]
     held = {c.segment.key for c in claims if isinstance(c, SheetState) and len(c.arms) > 1}
     formed = [c for c in claims if isinstance(c, FormsSheet) and c.segment.key in held]
-    return {} if begin is at_once else {id(claim): begin(left_of, claim) for claim in formed}
+    if not executor.parallel:
+        return {}
+    return {id(claim): executor.submit(left_of, claim) for claim in formed}
 
 
 class Forming:
-    """The forming of one proof; ``begin`` begins what another process may work out meanwhile, ``left`` is
+    """The forming of one proof; ``executor`` runs what another process may work out meanwhile, ``left`` is
     what of it was begun before, ``faces`` those of earlier proofs of the same claims, which are kept."""
 
     def __init__(
         self,
         context: Context,
-        begin: Begin = at_once,
+        executor: Executor = SERIAL,
         left: Left | None = None,
         faces: list[tuple[float, Face]] | None = None,
     ) -> None:
-        self.context, self.begin = context, begin
+        self.context, self.executor = context, executor
         self._left = left or {}
         self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
         self._faces: list[tuple[float, Face]] = [] if faces is None else faces

@@ -21,8 +21,9 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.problem import Stock
+from planner.runtime.executor import SERIAL, Executor
 from planner.tooling import Cutter, Mill
-from planner.verify.context import Begin, Context, at_once
+from planner.verify.context import Context
 from planner.verify.milling.following import Followed, follow, rows_to_check
 from planner.verify.milling.wanted_ways import down, up
 from planner.verify.replay.motion import during
@@ -151,11 +152,11 @@ def in_block(tip: FloatArray, axis: FloatArray, length: float, radius: float, st
 
 
 class Milling:
-    """The milling of one proof: its claims by setup, and tracks worked out when asked; ``begin`` begins what
+    """The milling of one proof: its claims by setup, and tracks worked out when asked; ``executor`` runs what
     another process may work out meanwhile."""
 
-    def __init__(self, context: Context, begin: Begin = at_once) -> None:
-        self.context, self.begin = context, begin
+    def __init__(self, context: Context, executor: Executor = SERIAL) -> None:
+        self.context, self.executor = context, executor
         self.by_setup: tuple[
             tuple[int, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart], ...
         ] = tuple(

@@ -17,8 +17,9 @@ from planner.claims.forming import FormingFeed, FormsInOrder, FormsSheet, SheetS
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue
+from planner.runtime.executor import Executor
 from planner.runtime.memory import release_memory
-from planner.verify.context import FEED_SLACK, Begin, Context, Outcome, at_node, at_sample, mm, rule
+from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.forming.face import Face
 from planner.verify.forming.reached import Depths, largest_step, on_ways, while_forming
 from planner.verify.forming.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
@@ -304,7 +305,7 @@ def sheet(context: Context, forming: Forming) -> Outcome:
             ahead = [] if formed is None else _ahead(forming, formed, own, number, held)
             release_memory()  # what that leaves free would count beside what is inside the tool
             asked.append(
-                (arm, allowed, *_all(formed, way, own, number, held, forming.begin, places, begun), ahead)
+                (arm, allowed, *_all(formed, way, own, number, held, forming.executor, places, begun), ahead)
             )
         release_memory()  # what the balls leave free would count beside what heads are held against
         for arm, allowed, heads, rest, ahead in asked:
@@ -333,7 +334,7 @@ def _all(
     state: SheetState,
     number: int,
     held: bool,
-    begin: Begin,
+    executor: Executor,
     places: dict[int, FloatArray],
     begun: float,
 ) -> tuple[Iterator[Depths], list[Depths]]:
@@ -351,7 +352,7 @@ def _all(
         sinking = HeadWay.of(centre, axis, _sunk(way, state, begun), float(profile[-1, 0]))
         asked.append(Inside(whole, state.carried, sinking, state.tolerance))
     if one is None:
-        return begin(insides, asked), []
+        return executor.submit(insides, asked), []
     # balls are held against the face exactly: that of the forming tool elsewhere, the other one below
     face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
     release_memory()  # what ways of heads leave free would count beside what the balls are nearest to
@@ -361,7 +362,7 @@ def _all(
     if id(here) not in places:
         release_memory()  # what ways of heads leave free would count beside the divided face
         places[id(here)] = _places(here)
-    heads = begin(insides, [*asked, Inside(face, places[id(here)], still, state.tolerance, there)])
+    heads = executor.submit(insides, [*asked, Inside(face, places[id(here)], still, state.tolerance, there)])
     if former:
         return heads, []
     release_memory()  # what divided faces leave free would count beside what the balls are held against

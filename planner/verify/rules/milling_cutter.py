@@ -27,8 +27,9 @@ from planner.claims.trim import TrimsSheet
 from planner.claims.vocabulary import Phase, Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
+from planner.runtime.executor import SERIAL
 from planner.tooling import Mill
-from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_once, at_sample, mm, rule
+from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
 from planner.verify.job import MILL
 from planner.verify.milling import surface_passes
 from planner.verify.milling.following import WRITTEN_ROUNDING, Followed, allowed, rows_to_check
@@ -311,7 +312,7 @@ def _held(milling: Milling, index: int, claim: SparesPart) -> Iterator[tuple[Hel
 
 def _insides(milling: Milling, held: Sequence[Held]) -> Iterator[Inside | int]:
     """What is inside of each, in their order; every other one is begun, perhaps in another process."""
-    begun = (milling.begin if len(held) > 1 else at_once)(insides, held[1::2])
+    begun = (milling.executor if len(held) > 1 else SERIAL).submit(insides, held[1::2])
     own = list(insides(held[::2]))
     for k, one in enumerate(own):
         yield one

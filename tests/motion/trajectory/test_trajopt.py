@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.motion.planning_scene import here
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
 from planner.motion.trajectory import hinges
 from planner.motion.trajectory.hinges import Avoid
 from planner.motion.trajectory.trajopt import improve, path_cost
+from planner.runtime.executor import SerialExecutor
 from planner.targets import ScrewFreedom
 from tests.motion.scenes import one_arm, pair
 
@@ -114,14 +114,15 @@ def test_bounds_that_are_worked_out_elsewhere_are_the_same(monkeypatch: pytest.M
     monkeypatch.setattr(hinges.clearance, "CONFIGURATIONS_AT_ONCE", 20)
     begun = []
 
-    def aside(work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
-        begun.append(len(arguments[1]))
-        return iter(tuple(work(*arguments)))
+    class Eager(SerialExecutor):
+        def submit(self, work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
+            begun.append(len(arguments[1]))
+            return iter(tuple(work(*arguments)))
 
     q = np.concatenate([found.q[a] for a in targets.arms], axis=1)
     costs = []
-    for begin in (here, aside):
-        avoid = Avoid(scene.model, targets.arms, 0.03, 1.0, begin=begin)
+    for executor in (SerialExecutor(), Eager()):
+        avoid = Avoid(scene.model, targets.arms, 0.03, 1.0, executor=executor)
         costs.append(
             [avoid.cost(q + shift * np.sin(np.arange(q.size)).reshape(q.shape)) for shift in (0, 0.3)]
         )

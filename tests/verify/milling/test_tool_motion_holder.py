@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from planner.claims.claim import SparesPart
 from planner.claims.vocabulary import Segment
+from planner.runtime.executor import SERIAL
 from planner.tooling import Cutter
-from planner.verify.context import at_once
 from planner.verify.milling.tool_motion import BEND_SHARE, Milling, Track, insides, signed, solids
 from planner.verify.rules.milling_cutter import _GOUGE_SPACING, _held, _insides, _step, mill_gouge
 
@@ -40,7 +40,7 @@ def _spared(vertices: Any) -> SparesPart:
 def _milling(claim: SparesPart, track: Track) -> Any:
     milling: Any = SimpleNamespace(
         spared=((0, claim),),
-        begin=at_once,
+        executor=SERIAL,
         track=lambda *_: track,
         spaced=lambda *given: track.spaced(given[-2], BEND_SHARE * given[-1]),
         mounted=lambda *_: CUTTER,

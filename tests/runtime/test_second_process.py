@@ -1,5 +1,4 @@
-"""A second process for one plan: what it works out is what is worked out here, it is never needed, and it is
-gone when its parent is."""
+"""A second process returns what this process computes, is never required, and ends with its parent."""
 
 from __future__ import annotations
 
@@ -20,40 +19,41 @@ import pytest
 
 from planner import pipeline
 from planner import processes as registry
-from planner.batch.worker import SMALL_BYTES, Second, beginning
 from planner.issues import Issue, TandemError
 from planner.motion import solve
-from planner.motion.planning_scene import here
+from planner.pipeline import WARM_UP
 from planner.report import output
+from planner.runtime.executor import SerialExecutor
+from planner.runtime.second_process import SMALL_BYTES, SecondProcess, open_executor
 from planner.verify import prove as verify_prove
 from planner.verify.prove import prove
 from tests import small_problem
 from tests.verify import forming_job, small_job, straight_job
 
 
-class Told(Second):
-    """Knows which calls were worked out there."""
+class Recorder(SecondProcess):
+    """Records which calls ran in the second process."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(WARM_UP)
         self.done: list[bool] = []
 
-    def _asked(self, parts: Sequence[Any]) -> tuple[bool, tuple[Any, ...]]:
-        answer = super()._asked(parts)
+    def _call(self, parts: Sequence[Any]) -> tuple[bool, tuple[Any, ...]]:
+        answer = super()._call(parts)
         self.done.append(answer[0])
         return answer
 
-    def begin(self, work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
-        """As ever, and waits until it has its answer: it is worked out there, however busy the machine is."""
-        count, call = len(self.done), super().begin(work, *arguments)
+    def submit(self, work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
+        """Submit a call and wait for its answer, so that it runs there however busy the machine is."""
+        count, call = len(self.done), super().submit(work, *arguments)
         while len(self.done) == count:
             time.sleep(0.01)
         return call
 
 
 @pytest.fixture(scope="module")
-def second() -> Iterator[Told]:
-    with Told() as process:
+def second() -> Iterator[Recorder]:
+    with Recorder() as process:
         yield process
 
 
@@ -86,9 +86,9 @@ def gives_no_pickle(parent: int) -> Iterator[object]:
     yield (lambda: parent) if os.getpid() != parent else "here"
 
 
-def test_results_come_back_as_they_are(second: Told) -> None:
+def test_results_come_back_as_they_are(second: Recorder) -> None:
     given = np.random.default_rng(3).normal(size=(SMALL_BYTES // 8, 3))
-    first, again = (second.begin(arrays, given) for _ in range(2))
+    first, again = (second.submit(arrays, given) for _ in range(2))
     pid, *found = first
     assert pid == next(again) != os.getpid()
     _, *wanted = arrays(given)
@@ -99,38 +99,38 @@ def test_results_come_back_as_they_are(second: Told) -> None:
     assert str(found[2]) == str(wanted[2])
 
 
-def test_what_fails_there_is_raised_as_it_is_here(second: Told) -> None:
-    found = second.begin(refuses, os.getpid())
+def test_what_fails_there_is_raised_as_it_is_here(second: Recorder) -> None:
+    found = second.submit(refuses, os.getpid())
     assert next(found) == "not lost"
     with pytest.raises(TandemError, match=f"refused in {os.getpid()} of {os.getpid()}"):
         next(found)
     for work in (gives_up, gives_no_pickle):
-        assert list(second.begin(work, os.getpid())) == ["here"]
-    with Second() as process:
-        assert list(process.begin(lambda: iter(["here"]))) == ["here"]
+        assert list(second.submit(work, os.getpid())) == ["here"]
+    with SecondProcess(WARM_UP) as process:
+        assert list(process.submit(lambda: iter(["here"]))) == ["here"]
 
 
 def test_what_is_not_begun_there_is_worked_out_here() -> None:
-    with Second() as process:
-        busy = process.begin(sleeps)
-        assert list(process.begin(gives_up, os.getpid())) == ["here"]
+    with SecondProcess(WARM_UP) as process:
+        busy = process.submit(sleeps)
+        assert list(process.submit(gives_up, os.getpid())) == ["here"]
         del busy
 
 
 def test_a_process_that_is_killed_is_not_missed() -> None:
-    with Second() as process:
-        calls = [process.begin(work, os.getpid()) for work in (is_killed, is_killed, gives_up)]
+    with SecondProcess(WARM_UP) as process:
+        calls = [process.submit(work, os.getpid()) for work in (is_killed, is_killed, gives_up)]
         assert [list(call) for call in calls] == [["here"]] * 3
 
 
 @pytest.mark.parametrize("settings", [{}, {"clearance": 0.3}])
 @pytest.mark.parametrize("job", [small_job, straight_job])
-def test_the_proof_is_the_same(second: Told, job: ModuleType, settings: dict[str, float]) -> None:
+def test_the_proof_is_the_same(second: Recorder, job: ModuleType, settings: dict[str, float]) -> None:
     """As text, byte by byte; also where more clearance is wanted than there is, with the same issues in the
     same order: those rules are looked at in the second process."""
     given = job.problem(**settings), job.claims(), job.programs()
     second.done.clear()
-    one, two = prove(*given), prove(*given, second.begin)
+    one, two = prove(*given), prove(*given, second)
     assert second.done == [True, True]
     assert bool(settings) == ("verify.clearance" in {issue.code for issue in one.issues})
     assert output.proof_text(one, (), {}) == output.proof_text(two, (), {})
@@ -141,14 +141,14 @@ def test_the_proof_is_the_same(second: Told, job: ModuleType, settings: dict[str
 
 
 @pytest.mark.long
-def test_the_proof_of_a_long_motion_is_the_same(second: Told, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_proof_of_a_long_motion_is_the_same(second: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one too long to be sent whole only the looks at clearance go, with what a ball sweeps and what is
     inside of the heads; also where more clearance is wanted than there is."""
     monkeypatch.setattr(verify_prove, "MOST_SENT_SAMPLES", 0)
     for settings in ({}, {"clearance": 0.3}):
         given = forming_job.problem(**settings), forming_job.claims(), forming_job.programs(24)
         second.done.clear()
-        one, two = prove(*given), prove(*given, second.begin)
+        one, two = prove(*given), prove(*given, second)
         assert second.done
         assert all(second.done)
         assert bool(settings) == ("verify.clearance" in {issue.code for issue in one.issues})
@@ -183,7 +183,9 @@ def test_a_result_is_the_same(tmp_path: Path) -> None:
 AGAIN = "name: again, process: targets, arms: [left], frame: world, setup: {place: {xyz_mm: [450, 0, 20]}}"
 
 
-def test_later_setups_and_ways_home_are_planned_there_as_they_are_here(second: Told, tmp_path: Path) -> None:
+def test_later_setups_and_ways_home_are_planned_there_as_they_are_here(
+    second: Recorder, tmp_path: Path
+) -> None:
     """Byte by byte; and a setup that has no plan there has none here, with the same issues."""
     columns, *rows = small_problem.COLUMNS, *small_problem.ROWS
     far = [row.replace("450,", "950,", 1) for row in rows]
@@ -193,10 +195,10 @@ def test_later_setups_and_ways_home_are_planned_there_as_they_are_here(second: T
         text = small_problem.PROBLEM + f"  - {{{AGAIN}, file: {name}}}\n"
         problem = pipeline.load(small_problem.write(tmp_path, text))
         targets = [job.targets() for job in registry.jobs(problem)]
-        for begin in (here, second.begin):
+        for executor in (SerialExecutor(), second):
             second.done.clear()
             try:
-                plans.append(solve.solve(problem, targets, begin=begin))
+                plans.append(solve.solve(problem, targets, executor=executor))
             except TandemError as error:
                 reasons.append([issue.to_dict() for issue in error.issues])
         assert second.done == [True] * 3  # the second setup, and the ways out and in of the first one
@@ -213,17 +215,18 @@ def test_later_setups_and_ways_home_are_planned_there_as_they_are_here(second: T
 
 
 def test_there_is_a_process_at_least() -> None:
-    with pytest.raises(ValueError, match="got 0 processes"), beginning(0):
+    with pytest.raises(ValueError, match="got 0 processes"), open_executor(0, WARM_UP):
         pass
 
 
 PARENT = """
 import os, sys, time
-from planner.batch.worker import beginning
-from tests.batch.test_second_process import sleeps
-with beginning(2) as begin:
-    call = begin(sleeps)
-    print(begin.__self__._process.pid, flush=True)
+from planner.pipeline import WARM_UP
+from planner.runtime.second_process import open_executor
+from tests.runtime.test_second_process import sleeps
+with open_executor(2, WARM_UP) as executor:
+    call = executor.submit(sleeps)
+    print(executor._process.pid, flush=True)
     next(call)
 """
 
