@@ -13,7 +13,7 @@ import yaml
 
 import planner
 from planner import processes
-from planner.batch.run import figures
+from planner.batch.rows import figures
 from planner.cli.results import write_pages
 from planner.geometry.arrays import FloatArray
 from planner.issues import has_errors

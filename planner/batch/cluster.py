@@ -239,7 +239,7 @@ class Cluster:
             return done
         try:
             if answer["files"]:
-                from planner.batch.run import write_result
+                from planner.batch.results import write_result
 
                 write_result(sent.place.prepare({})[1], answer["files"])
         except TandemError as error:

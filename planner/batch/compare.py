@@ -22,7 +22,7 @@ import numpy as np
 
 from planner import plans
 from planner.batch.job import Done, Record
-from planner.batch.run import RECORDS, Row, figures
+from planner.batch.rows import RECORDS, Row, figures
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate
 from planner.plans import OperationPlan, Plan

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 
 from planner.batch.job import ELEMENT, PLANNED, Done
+from planner.batch.rows import Item, Row
 from planner.element import (
     elastic,
     element_file,
@@ -211,7 +212,6 @@ def solve_report(source: Path, result: Path, on_progress: Progress) -> tuple[Iss
     """Write the report on an element from the files of a job into ``result``; what is to be said. Raises
     ``TandemError``."""
     from planner.batch.compare import csv_table
-    from planner.batch.run import Item, Row  # which begins this
 
     on_progress("joints", 0.0)
     ended = [Done.from_dict(one) for one in json.loads((source / PLANNED).read_text("utf-8"))]

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from planner.batch.job import safe_names
-from planner.batch.run import SUFFIXES, Item, Row
+from planner.batch.rows import Item, Row
+from planner.batch.run import SUFFIXES
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Problem, Settings

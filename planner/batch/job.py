@@ -246,7 +246,7 @@ class Place:
             hidden = self._hidden or self.prepare({})[1].parent
             result = hidden / "result"
             if done.state not in ("verified", "done") and not is_file(result / "report.html"):
-                from planner.batch.run import write_failure
+                from planner.batch.results import write_failure
 
                 write_failure(result, done.issues)
             with deferred_sigint():

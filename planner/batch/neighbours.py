@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
-    from planner.batch.run import Item
+    from planner.batch.rows import Item
 
 ELEMENT = "element.json"
 """The file of an element that has its panels with their neighbours."""

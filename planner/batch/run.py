@@ -1,11 +1,7 @@
-"""A batch, and each of its jobs: from what is asked for to result folders, none planned twice.
+"""A batch: collect its items, make a self-contained job of each, and plan the jobs into result folders.
 
-Items are files, folders, bundled names and batch files, in a fixed order; problems become jobs with
-files that stand alone. What was finished before is not planned again.
-
-**One job** (`solve`) goes from its files to its result folder in this process, the same as ``tandem
-plan``. Figures of the outcome, which summaries and comparisons show, have names that end in their
-units.
+Items are files, folders, bundled names and batch files, in a fixed order. Jobs that an earlier run finished
+are not planned again.
 """
 
 from __future__ import annotations
@@ -14,24 +10,18 @@ import collections
 import dataclasses
 import fcntl
 import functools
-import math
 import os
-import time
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import yaml
 
 from planner import pipeline, spec
 from planner.batch.batch_file import BATCH, read_batch
-from planner.batch.division import solve_division, solve_report
 from planner.batch.job import (
-    ELEMENT,
     LIKE,
-    PLANNED,
     PROBLEM,
     Done,
     Event,
@@ -40,37 +30,21 @@ from planner.batch.job import (
     Place,
     Record,
     Reports,
-    State,
     all_versions,
-    disk_full,
     safe_names,
 )
+from planner.batch.rows import RECORDS, Item, Row
 from planner.batch.workers import Workers
 from planner.catalogue.robots import bundled
-from planner.files import FILE_KEYS, RESULT, STAGING, claim_folder, is_disk_full, is_file, write_folder
-from planner.issues import Issue, TandemError, given_wrong
-from planner.pipeline import Outcome
-from planner.plans import ARRAYS_FILE, DATA_FILE, Plan
+from planner.files import FILE_KEYS, STAGING, claim_folder, is_file
+from planner.issues import Issue, TandemError
+from planner.plans import ARRAYS_FILE, DATA_FILE
 from planner.problem import Problem
 from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
-from planner.verify.result import RuleResult
 
 SUFFIXES = (".yaml", ".yml")
 """Endings of problem and batch files."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Item:
-    """One problem of a batch: its ``name`` among the results, where it comes from, how to read it (raises
-    ``TandemError``), and the values that a batch file gave it. ``like``: the item whose plan its own begins
-    with."""
-
-    name: str
-    origin: str
-    read: Callable[[], Problem]
-    varied: Mapping[str, object] = dataclasses.field(default_factory=dict)
-    like: str | None = None
 
 
 def collect(given: Sequence[Path], leave_out: Path) -> list[Item]:
@@ -186,10 +160,6 @@ def _pairs(carried: Any, source: Any) -> Iterator[tuple[str, str]]:
             yield from _pairs(one, other)
 
 
-RECORDS: Final = ".records"
-"""The folder, beside the results, of what a batch remembers of its jobs."""
-
-
 class Planners(Protocol):
     """What plans jobs: `planner.batch.workers.Workers` or `planner.batch.cluster.Cluster`."""
 
@@ -206,15 +176,6 @@ class Planners(Protocol):
 
     def events(self, timeout_s: float) -> Iterator[Event]:
         """What happens."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """One item of a batch and how it ended; ``kept``: in an earlier run."""
-
-    item: Item
-    done: Done
-    kept: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -425,155 +386,3 @@ def exit_code(rows: Sequence[Row]) -> int:
     if states & {"crashed", "timeout", "memory", "cancelled"}:
         return 1
     return next((c for s, c in (("unproven", 4), ("infeasible", 3), ("bad_input", 2)) if s in states), 0)
-
-
-FIGURE_OF_RULE: Final[dict[str, str]] = {
-    "verify.clearance": "clearance_mm",
-    "verify.own_clearance": "own_clearance_mm",
-    "verify.joint_limits": "joint_limits_deg",
-    "verify.joint_speed": "joint_speed_percent",
-    "verify.singularity": "singularity_deg",
-    "verify.surface": "surface_percent",
-}
-"""Rules of the proof whose worst values are figures: least distance, least distance to a limit, greatest
-share of a limit, least distance to a singularity, share of the cut faces within tolerance."""
-
-
-def figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
-    """``targets``, ``cycle_s`` [s] from first to last target, ``travel_s`` [s] of tracks and turntables where
-    there are any, ``path_cost``, and the worst values of `FIGURE_OF_RULE`.
-
-    What a plan or proof does not know, or is not finite, is left out.
-    """
-    out: dict[str, float] = {
-        "targets": float(sum(operation.targets.count for operation in plan.operations)),
-        "cycle_s": plan.duration,
-    }
-    if "travel_s" in plan.metrics:
-        out["travel_s"] = float(plan.metrics["travel_s"])
-    costs = [operation.metrics.get("trajopt_cost") for operation in plan.operations]
-    known = [float(cost) for cost in costs if isinstance(cost, int | float)]
-    if known and len(known) == len(costs):
-        out["path_cost"] = sum(known)
-    for rule in rules:
-        if rule.code in FIGURE_OF_RULE and rule.worst is not None:
-            out[FIGURE_OF_RULE[rule.code]] = float(rule.worst)
-    return {name: value for name, value in out.items() if math.isfinite(value)}
-
-
-OnIssues = Callable[[Sequence[Issue]], None]
-
-
-def solve(
-    name: str,
-    source: Path,
-    result: Path,
-    origins: Mapping[str, str],
-    on_progress: pipeline.Progress,
-    on_issues: OnIssues,
-    reports: Reports = "all",
-) -> Done:
-    """Plan the bundle in ``source``, or divide or report on the element there, and write its result folder to
-    ``result``, which is there for every state but ``crashed``.
-
-    ``origins`` and ``reports`` as in :class:`planner.batch.job.Job`; ``on_issues`` gets issues as they are
-    known.
-    """
-    start = time.perf_counter()
-    called = Names(source, origins)
-    try:
-        state, issues, metrics = _solved(source, result, called, on_progress, on_issues, reports)
-    except Exception as error:  # what planning should never do; the job's state says so
-        what = f"{type(error).__name__}: {error}; nothing was written, please report this"
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"{Path(last.filename).name}, line {last.lineno}"
-        crash = disk_full() if is_disk_full(error) else Issue("internal.error", called.text(what), hint=where)
-        state, issues, metrics = "crashed", (crash,), {}
-    return Done(name, state, issues, metrics, time.perf_counter() - start)
-
-
-def _solved(
-    source: Path,
-    result: Path,
-    called: Names,
-    on_progress: pipeline.Progress,
-    on_issues: OnIssues,
-    reports: Reports,
-) -> tuple[State, tuple[Issue, ...], Mapping[str, float]]:
-    """How it ends, with its issues and figures; raises what planning never should, and what a full disk
-    does."""
-    problem = None
-    try:
-        for file, other in ((ELEMENT, solve_division), (PLANNED, solve_report)):
-            if is_file(source / file):
-                return "done", called.issues(other(source, result, on_progress)), {}
-        problem = pipeline.load(source / PROBLEM)
-        on_issues(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
-        like = source / LIKE
-        before = pipeline.former(like) if is_file(like / DATA_FILE) else None
-        outcome = called.outcome(pipeline.plan(problem, on_progress, like=before))
-        on_issues(outcome.issues)
-        state: State = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
-        outcome.save(result, on_progress, pages=reports == "all" or state != "verified")
-    except TandemError as error:
-        if is_disk_full(error):  # no fault of the problem
-            raise
-        issues = called.issues(error.issues)
-        on_issues(issues)
-        pipeline.save_failure(problem, issues, result)
-        return "bad_input" if problem is None or given_wrong(issues) else "infeasible", issues, {}
-    return state, outcome.issues, figures(outcome.plan, outcome.proof.rules)
-
-
-def write_failure(folder: Path, issues: Sequence[Issue]) -> None:
-    """A result folder with the report alone, for a job whose planning was stopped."""
-    pipeline.save_failure(None, tuple(issues), folder)
-
-
-def write_result(folder: Path, files: Mapping[str, bytes]) -> None:
-    """A result folder of files that were planned elsewhere, whole or not at all."""
-    write_folder(folder, files, tuple(dict.fromkeys((*RESULT, *(name.split("/")[0] for name in files)))))
-
-
-class Names:
-    """What people call the files of a job that lie in ``source`` for its planning."""
-
-    def __init__(self, source: Path, origins: Mapping[str, str]) -> None:
-        names = [p.relative_to(source).as_posix() for p in source.rglob("*") if p.is_file()]
-        # the longest first: a name may be the beginning of another
-        pairs = [(str(source / name), origins.get(name, name)) for name in sorted(names, key=len)[::-1]]
-        self._pairs = (*pairs, (str(source), "the problem's folder"))
-
-    def text(self, text: str) -> str:
-        """The text with files called as people do."""
-        for path, name in self._pairs:
-            text = text.replace(path, name)
-        return text
-
-    def issue(self, issue: Issue) -> Issue:
-        """The issue with files called as people do."""
-        changes = {
-            field: self.text(value)
-            for field in ("file", "message", "hint", "target")
-            if (value := getattr(issue, field)) is not None
-        }
-        return dataclasses.replace(issue, **changes)  # type: ignore[arg-type]
-
-    def issues(self, issues: Sequence[Issue]) -> tuple[Issue, ...]:
-        """All of them."""
-        return tuple(self.issue(issue) for issue in issues)
-
-    def outcome(self, outcome: Outcome) -> Outcome:
-        """An outcome whose issues call files as people do."""
-        plan, proof = outcome.plan, outcome.proof
-        operations = tuple(
-            dataclasses.replace(
-                op,
-                issues=self.issues(op.issues),
-                targets=dataclasses.replace(op.targets, issues=self.issues(op.targets.issues)),
-            )
-            for op in plan.operations
-        )
-        plan = dataclasses.replace(plan, operations=operations, issues=self.issues(plan.issues))
-        proof = dataclasses.replace(proof, issues=self.issues(proof.issues))
-        return dataclasses.replace(outcome, plan=plan, proof=proof)

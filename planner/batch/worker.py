@@ -62,7 +62,7 @@ def _planning() -> Solve:
     """All that planning needs; importing it takes longer than many a job."""
     with gc_frozen():
         from planner import pipeline
-        from planner.batch.run import solve
+        from planner.batch.solve import solve
         from planner.cell import plant
 
         pipeline.warm_up()

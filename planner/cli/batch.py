@@ -27,7 +27,8 @@ from planner.issues import Issue, TandemError, accepted
 if TYPE_CHECKING:
     from planner.batch.compare import JobPair, Pair, Plans
     from planner.batch.job import Event
-    from planner.batch.run import Item, Planners, Row
+    from planner.batch.rows import Item, Row
+    from planner.batch.run import Planners
     from planner.problem import Problem
 
 out = Console(highlight=False)
@@ -87,6 +88,7 @@ def run_batch(request: Batch) -> int:
 
 def _planned(request: Batch, wanted: Callable[[], list[Item]]) -> tuple[list[Row], float]:
     """All that is wanted planned, with progress, and the summary written; the rows, and the time [s]."""
+    from planner.batch import rows as batch_rows
     from planner.batch import run as batch
     from planner.batch.job import Finished
 
@@ -103,7 +105,7 @@ def _planned(request: Batch, wanted: Callable[[], list[Item]]) -> tuple[list[Row
 
             def on_event(event: Event) -> None:
                 if isinstance(event, Finished):
-                    rows[event.name] = batch.Row(known[event.name], event.done)
+                    rows[event.name] = batch_rows.Row(known[event.name], event.done)
                 shown.show(event)
 
             try:

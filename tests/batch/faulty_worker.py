@@ -30,7 +30,7 @@ def faulty(
     on_issues: Any,
     reports: Reports,
 ) -> Done:
-    """What `planner.batch.run.solve` would do, or the fault that the name asks for."""
+    """What `planner.batch.solve.solve` would do, or the fault that the name asks for."""
     kind = re.split("[-_]", name)[0]
     on_progress("fault", 0.5)
     result.mkdir()
@@ -53,7 +53,7 @@ def faulty(
     if kind == "keep":
         KEPT.append(np.ones(25_000_000))  # 200 MB that the next job would be blamed for
     if kind == "raise":
-        from planner.batch import run as solve
+        from planner.batch import solve
 
         solve.pipeline.load = _wrong  # type: ignore[assignment]
         (result / "half").unlink()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from planner import pipeline
 from planner.batch.job import Job
-from planner.batch.run import Item
+from planner.batch.rows import Item
 from tests import small_problem
 
 FAULTY = "tests.batch.faulty_worker"

@@ -19,7 +19,8 @@ from planner import pipeline, spec
 from planner.batch import compare
 from planner.batch import run as batch
 from planner.batch.job import Done, Event, Finished, Job, Record, State
-from planner.batch.run import Item, Row, Settings, bundled_job, collect
+from planner.batch.rows import RECORDS, Item, Row
+from planner.batch.run import Settings, bundled_job, collect
 from planner.batch.workers import Workers
 from planner.cli import batch as batch_commands
 from planner.cli import command_line
@@ -137,8 +138,8 @@ def test_a_batch_that_is_killed_at_many_moments_goes_on(tmp_path: Path, whom: st
     assert sum(row.kept for row in rows) == len(finished) > 0
     for name, standing in finished.items():
         assert _standing(out / name) == standing
-    assert {p.name for p in out.iterdir()} == {batch.RECORDS, *names}
-    assert {p.name for p in (out / batch.RECORDS).iterdir()} == {f"{name}.json" for name in names}
+    assert {p.name for p in out.iterdir()} == {RECORDS, *names}
+    assert {p.name for p in (out / RECORDS).iterdir()} == {f"{name}.json" for name in names}
 
 
 def _until_finished(out: Path, count: int) -> None:
@@ -195,7 +196,7 @@ def test_a_kill_between_two_steps_of_the_end_of_a_job(tmp_path: Path, moment: st
     ((row,), _) = plan(found, out, Settings(resume=True))
     assert row.done.state == "verified"
     assert row.kept == (moment == "before the rename of the old")
-    assert sorted(p.name for p in out.iterdir()) == [batch.RECORDS, "good-1"]
+    assert sorted(p.name for p in out.iterdir()) == [RECORDS, "good-1"]
 
 
 def _standing(folder: Path) -> tuple[int, bytes]:
@@ -219,7 +220,7 @@ def test_what_is_tried_again(tmp_path: Path) -> None:
     (tmp_path / "targets.csv").write_text((tmp_path / "targets.csv").read_text() + "\n")
     rows, _ = plan(found[2:], out, Settings(resume=True))
     assert [row.kept for row in rows] == [False]  # a file of the problem has changed
-    (out / batch.RECORDS / "good-1.json").write_text("{")
+    (out / RECORDS / "good-1.json").write_text("{")
     rows, _ = plan(found[2:], out, Settings(resume=True))
     assert [row.kept for row in rows] == [False]
 
@@ -259,7 +260,7 @@ def test_workers_are_gone_after_ctrl_c(tmp_path: Path) -> None:
         batch.run(found, tmp_path / "out", w, Settings(), stop)
     assert len(pids) == 1
     assert not alive(pids[0])
-    assert [p.name for p in (tmp_path / "out").iterdir()] == [batch.RECORDS]
+    assert [p.name for p in (tmp_path / "out").iterdir()] == [RECORDS]
 
 
 def test_files_folders_and_bundled_names_are_found(tmp_path: Path) -> None:

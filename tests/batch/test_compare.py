@@ -13,7 +13,8 @@ import pytest
 from planner import plans
 from planner.batch import compare
 from planner.batch.job import Done, Record, State
-from planner.batch.run import RECORDS, Names
+from planner.batch.rows import RECORDS
+from planner.batch.solve import Names
 from planner.claims.vocabulary import Segment
 from planner.cli.batch import Compare, run_compare
 from planner.issues import Issue, TandemError

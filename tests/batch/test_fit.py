@@ -10,7 +10,7 @@ import yaml
 import planner
 from planner.batch import fit
 from planner.batch.job import Done
-from planner.batch.run import Item, Row
+from planner.batch.rows import Item, Row
 from planner.cli.batch import Fit, run_fit
 from planner.issues import TandemError
 from planner.problem import Settings

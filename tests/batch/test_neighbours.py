@@ -16,7 +16,8 @@ from planner import pipeline
 from planner.batch import run as batch
 from planner.batch.job import Done, Event, Finished, Job, Record
 from planner.batch.neighbours import RINGS, like_neighbours, like_within
-from planner.batch.run import Item, Settings
+from planner.batch.rows import Item
+from planner.batch.run import Settings
 from planner.cli import command_line
 from planner.cli.batch import Batch
 from planner.cli.batch import run_batch as command

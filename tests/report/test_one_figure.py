@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner.batch.run import figures
+from planner.batch.rows import figures
 from planner.cli import command_line
 from tests import small_problem
 

@@ -16,7 +16,7 @@ import yaml
 from sqlalchemy import update
 
 from planner.batch.job import ELEMENT, PLANNED, Done, Event, Finished, Job
-from planner.batch.run import solve
+from planner.batch.solve import solve
 from planner.files import THUMBNAIL
 from planner.issues import Issue
 from planner.service import audit

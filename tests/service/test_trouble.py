@@ -15,7 +15,7 @@ import pytest
 from sqlalchemy import select, text
 from sqlalchemy.exc import OperationalError
 
-from planner.batch import run
+from planner.batch import solve
 from planner.batch.job import Done, Event, Finished, Job, Place
 from planner.issues import Issue, TandemError
 from planner.service import runner, storage
@@ -229,8 +229,8 @@ def test_planning_into_a_full_disk_is_told_as_that(
             raise TandemError(Issue("output.folder", f"{path} cannot be written")) from full
         raise full
 
-    monkeypatch.setattr(run.pipeline, "load", load)
-    done = run.solve("a", tmp_path, tmp_path / "out", {}, lambda *_: None, lambda _: None)
+    monkeypatch.setattr(solve.pipeline, "load", load)
+    done = solve.solve("a", tmp_path, tmp_path / "out", {}, lambda *_: None, lambda _: None)
     assert (done.state, [issue.code for issue in done.issues]) == ("crashed", ["output.disk_full"])
     assert str(tmp_path) not in done.issues[0].message
 
