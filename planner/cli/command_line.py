@@ -1,9 +1,4 @@
-"""The command line.
-
-``tandem plan | check | verify | upload | download | robots | materials | kerf | align | features | batch |
-compare | serve | token | backup | restore |
-issues``
-"""
+"""The command line: each command of ``tandem`` is a function here, and ``main`` is the entry point."""
 
 from __future__ import annotations
 
@@ -13,15 +8,12 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import tyro
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from planner.cli import batch as batch_commands
@@ -38,26 +30,18 @@ from planner.cli import robots as robot_commands
 from planner.cli import scan as scan_commands
 from planner.cli import service as service_commands
 from planner.cli import statement
-from planner.cli.batch import Difference, differences
+from planner.cli.console import err, out, print_accepted, print_issues, print_summary, progress_bar
+from planner.cli.verification import compare_with_file, record_proof, sign_folder
 from planner.files import deferred_sigint
 from planner.issues import Issue, Severity, TandemError, accepted, given_wrong, has_errors
 from planner.runtime.memory import gc_frozen
 
 if TYPE_CHECKING:
-    from planner.plans import Plan
-    from planner.problem import Problem
-    from planner.verify.result import Proof
+    pass
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN, NOT_COMPARED = 0, 1, 2, 3, 4, 5
 """Exit codes of the command."""
-MOST_FIELDS_SHOWN = 40
-"""Fields of two problems that are listed at most."""
-SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
-"""How severities look in the terminal."""
-
 app = tyro.extras.SubcommandApp()
-out = Console()
-err = Console(stderr=True)
 
 
 @app.command
@@ -77,7 +61,7 @@ def plan(
             hold.
     """
     started = time.perf_counter()
-    with _progress() as progress:
+    with progress_bar() as progress:
         progress("reading", 0.0)  # before what is imported for it
         pipeline = _pipeline()
         try:
@@ -98,9 +82,9 @@ def plan(
         except TandemError as error:
             pipeline.save_failure(loaded, error.issues, output)
             return _refused(error, _infeasible_code(error))
-    _print_issues(outcome.issues)
-    _summary(outcome, output, time.perf_counter() - started)
-    if key is not None and not _signed(output, loaded, outcome.proof, key):
+    print_issues(outcome.issues)
+    print_summary(outcome, output, time.perf_counter() - started)
+    if key is not None and not sign_folder(output, loaded, outcome.proof, key):
         return NOT_PROVEN
     return int(pipeline.exit_code(outcome))
 
@@ -115,11 +99,11 @@ def check(problem: tyro.conf.Positional[Path]) -> int:
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     issues = pipeline.check(loaded)
-    _print_issues(issues)
+    print_issues(issues)
     if has_errors(issues):
         return _infeasible_code(TandemError([i for i in issues if i.severity is Severity.ERROR]))
     out.print(f"{loaded.name}: nothing in the way of a plan was found")
-    _print_accepted(accepted(issues))
+    print_accepted(accepted(issues))
     return DONE
 
 
@@ -147,8 +131,8 @@ def verify(
         key = None if sign is None else statement.read_private_key(sign)
         loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
         signature = () if signed_by is None else statement.check_signed(folder, loaded, signed_by)
-        _print_issues(_compared(pipeline, folder, loaded, problem))
-        _print_issues(signature)
+        print_issues(compare_with_file(pipeline, folder, loaded, problem))
+        print_issues(signature)
         programs = pipeline.read_programs(folder, bare=problem is not None)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
@@ -162,19 +146,19 @@ def verify(
             partly = pipeline.read_partly(loaded, programs)
         except TandemError as error:
             return _refused(error, NOT_PROVEN)
-        _print_issues(partly.issues)
+        print_issues(partly.issues)
         out.print(f"{loaded.name}: not read as a whole; each on its own, proven are {partly.share}")
     else:
-        _print_issues(proof.issues)
+        print_issues(proof.issues)
     held, asked, others = proof.tally
     rules = f"{held} of {asked} rules hold" + (
         f", {others} ask about what is not done here" if others else ""
     )
     out.print(f"{loaded.name}: {rules}; {'proven' if proof.ok else 'NOT proven'}")
-    _print_accepted(loaded.accept)
+    print_accepted(loaded.accept)
     if problem is None:
-        _recorded(folder, programs, proof, key is not None)
-    if key is not None and not _signed(folder, loaded, proof, key):
+        record_proof(folder, programs, proof, key is not None)
+    if key is not None and not sign_folder(folder, loaded, proof, key):
         return NOT_PROVEN
     return DONE if proof.ok and not has_errors(signature) else NOT_PROVEN
 
@@ -256,68 +240,12 @@ def download(request: tyro.conf.OmitArgPrefixes[loading_commands.Download]) -> i
         found, proof = loading_commands.run_download(request)
     except TandemError as error:
         return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
-    _print_issues(loading_commands.shortened(found))
-    _print_issues(proof.issues)
+    print_issues(loading_commands.shortened(found))
+    print_issues(proof.issues)
     sent = f"touched up in {len(found)} places" if found else "as it was sent"
     out.print(f"{sent}; {'proven' if proof.ok else 'NOT proven'}", highlight=False)
     out.print("These are the files there; what is loaded was not read: save modules before.", highlight=False)
     return DONE if proof.ok else NOT_PROVEN
-
-
-def _recorded(folder: Path, programs: Mapping[str, str], proof: Proof, signed: bool) -> None:
-    """Write the proof into the result folder, unless it is part of what somebody has signed."""
-    from planner.loading import proven
-
-    try:
-        if not proven.record(folder, programs, proof, signed):
-            out.print("proof.json is signed and stays as it is; --sign writes it anew", highlight=False)
-    except (OSError, TandemError) as error:
-        out.print(f"proof.json is not written ({error})", highlight=False, markup=False, soft_wrap=True)
-
-
-def _signed(folder: Path, problem: Problem, proof: Proof, key: statement.PrivateKey) -> bool:
-    """Sign a result folder, and tell it; False where it is not signed."""
-    try:
-        stored = _pipeline().load_result(folder).digest
-        out.print(f"signed by {statement.sign_result(folder, problem, stored, proof, key)}", highlight=False)
-    except TandemError as error:
-        _print_issues(error.issues)
-        return False
-    return True
-
-
-def _compared(pipeline: ModuleType, folder: Path, own: Problem, file: Path | None) -> tuple[Issue, ...]:
-    """Tell how the problem in a folder compares with one's own, read from ``file``."""
-    if file is None:
-        out.print(f"problem in {folder}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
-        out.print("It was not compared with a file of yours: give --problem FILE.", highlight=False)
-        return ()
-    if not (folder / "problem").exists():
-        return ()  # a folder of programs alone
-    try:
-        stored = pipeline.load_result(folder)
-    except TandemError as error:
-        what = f"the problem in {folder} cannot be read: {error.issues[0].message}"
-        hint = "the proof is against your file; plan it into a folder of its own to have its copy there"
-        return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
-    out.print(f"problem in {folder}: {stored.digest}", highlight=False, markup=False, soft_wrap=True)
-    out.print(f"problem in {file}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
-    if stored.digest == own.digest:
-        out.print("They are the same, values and files.", highlight=False)
-        return ()
-    found = differences(stored.source, own.source)
-    _differences(found, folder, file)
-    what = f"the problem in {folder} is not that of {file}: they differ in {len(found)} fields"
-    hint = f"the proof is against your file; plan {file} yourself, or ask why the folder has another one"
-    return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
-
-
-def _differences(found: tuple[Difference, ...], folder: Path, file: Path) -> None:
-    for item in found[:MOST_FIELDS_SHOWN]:
-        text = f"  {item.field}: {item.first} in {folder}, {item.second} in {file}"
-        out.print(text, highlight=False, markup=False, soft_wrap=True)
-    if len(found) > MOST_FIELDS_SHOWN:
-        out.print(f"  and {len(found) - MOST_FIELDS_SHOWN} more fields", highlight=False)
 
 
 @app.command
@@ -370,7 +298,7 @@ def kerf(action: kerf_commands.Action) -> int:
 def align(request: tyro.conf.OmitArgPrefixes[align_commands.Align]) -> int:
     """Find the base of a cell's second robot from points that both robots probed."""
     try:
-        _print_issues(align_commands.run_align(request))
+        print_issues(align_commands.run_align(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
@@ -380,7 +308,7 @@ def align(request: tyro.conf.OmitArgPrefixes[align_commands.Align]) -> int:
 def features(request: tyro.conf.OmitArgPrefixes[feature_commands.Features]) -> int:
     """Show the features of a sheet part as a tree, in the order of forming, and draw them."""
     try:
-        _print_issues(feature_commands.run_features(request))
+        print_issues(feature_commands.run_features(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
@@ -391,7 +319,7 @@ def springback(request: tyro.conf.OmitArgPrefixes[forming_commands.Springback]) 
     """Foretell how far a formed part comes back when the tools let go, before it is formed."""
     pipeline = _pipeline()
     try:
-        _print_issues(forming_commands.run_springback(request, pipeline.load(request.problem)))
+        print_issues(forming_commands.run_springback(request, pipeline.load(request.problem)))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE
@@ -402,7 +330,7 @@ def control(request: tyro.conf.OmitArgPrefixes[forming_commands.ControlRequest])
     """Gains of force control and compensation for a machine that you measured, run in time."""
     pipeline = _pipeline()
     try:
-        _print_issues(forming_commands.run_control(request, pipeline.load(request.problem)))
+        print_issues(forming_commands.run_control(request, pipeline.load(request.problem)))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE
@@ -413,7 +341,7 @@ def calibrate_clamp(request: tyro.conf.OmitArgPrefixes[clamp_commands.CalibrateC
     """Find what a sheet's clamp does to it, from forces and dial readings on a flat sheet."""
     pipeline = _pipeline()
     try:
-        _print_issues(clamp_commands.run_calibrate_clamp(request, pipeline.load(request.problem)))
+        print_issues(clamp_commands.run_calibrate_clamp(request, pipeline.load(request.problem)))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE
@@ -424,7 +352,7 @@ def next_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.NextLoop]) -> int
     """Correct the next level of a formed part by the forces that were measured on the levels so far."""
     _pipeline()
     try:
-        _print_issues(loop_commands.run_next_loop(request))
+        print_issues(loop_commands.run_next_loop(request))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE
@@ -435,7 +363,7 @@ def simulate_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.SimulateLoop]
     """Run the loop that corrects springback against sheets whose truth is known."""
     _pipeline()
     try:
-        _print_issues(loop_commands.run_simulate_loop(request))
+        print_issues(loop_commands.run_simulate_loop(request))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE
@@ -446,7 +374,7 @@ def scan_fit(request: tyro.conf.OmitArgPrefixes[scan_commands.ScanFit]) -> int:
     """Measure a formed part: how far a scan is off the part that a plan was made for."""
     _pipeline()
     try:
-        _print_issues(scan_commands.run_scan_fit(request))
+        print_issues(scan_commands.run_scan_fit(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
@@ -457,7 +385,7 @@ def adjust(request: tyro.conf.OmitArgPrefixes[scan_commands.Adjust]) -> int:
     """Form a part again: the problem with each target moved by what a scan of the part has shown."""
     _pipeline()
     try:
-        _print_issues(scan_commands.run_adjust(request))
+        print_issues(scan_commands.run_adjust(request))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE
@@ -488,7 +416,7 @@ def element(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRequest])
     """Divide a building element into panels and write a problem for each."""
     _pipeline()
     try:
-        _print_issues(element_commands.run_element(request))
+        print_issues(element_commands.run_element(request))
     except TandemError as error:
         return _refused(error, _infeasible_code(error))
     return DONE
@@ -499,7 +427,7 @@ def element_report(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRe
     """Show what became of an element's panels in a batch: `tandem element report OUT RUN` is the same."""
     _pipeline()
     try:
-        _print_issues(element_commands.run_element_report(request))
+        print_issues(element_commands.run_element_report(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
@@ -509,7 +437,7 @@ def element_report(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRe
 def element_mark(request: tyro.conf.OmitArgPrefixes[element_commands.ElementMark]) -> int:
     """Keep which panels are cut, glued or broken: `tandem element mark OUT ID cut` is the same."""
     try:
-        _print_issues(element_commands.run_element_mark(request))
+        print_issues(element_commands.run_element_mark(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
@@ -605,7 +533,7 @@ def main() -> None:
             _stop()
         err.print_exception()
         what = f"{type(error).__name__}: {error}; nothing was written, please report this"
-        _print_issues((Issue("internal.error", what),))
+        print_issues((Issue("internal.error", what),))
         sys.exit(FAILED)
     except KeyboardInterrupt:
         _stop()
@@ -665,58 +593,5 @@ def _infeasible_code(error: TandemError) -> int:
 
 
 def _refused(error: TandemError, code: int) -> int:
-    _print_issues(error.issues)
+    print_issues(error.issues)
     return code
-
-
-def _print_issues(found: tuple[Issue, ...]) -> None:
-    for issue in found:
-        err.print(
-            str(issue), style=SEVERITY_STYLE[issue.severity], markup=False, highlight=False, soft_wrap=True
-        )
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    columns = (SpinnerColumn(), TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
-        tasks: dict[str, object] = {}
-
-        def progress(stage: str, fraction: float) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=1.0)
-            bar.update(tasks[stage], completed=fraction)  # type: ignore[arg-type]
-
-        yield progress
-
-
-def _summary(outcome: object, output: Path, seconds: float) -> None:
-    from planner.pipeline import Outcome
-
-    if not isinstance(outcome, Outcome):
-        raise TypeError(f"expected an Outcome, got {type(outcome).__name__}")
-    moves = sum(operation.targets.count for operation in outcome.plan.operations)
-    cycle = outcome.plan.duration
-    verdict = "verified" if outcome.verified else "NOT verified, no programs written"
-    out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.1f} s of motion, {verdict}")
-    _print_accepted(outcome.accepted)
-    stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _laps(outcome.plan).items())
-    spent = f" ({stages})" if stages else ""
-    out.print(
-        f"planned in {seconds:.1f} s{spent}; see {output / 'report.html'}", highlight=False, markup=False
-    )
-
-
-def _print_accepted(codes: Sequence[str]) -> None:
-    """What a verdict leaves to the user, beside it."""
-    if codes:
-        out.print(f"accepted by the problem, not by Tandem: {', '.join(codes)}", highlight=False)
-
-
-def _laps(plan: Plan) -> dict[str, float]:
-    """The time [s] of each stage of the motion, over all operations, where it took any."""
-    laps: dict[str, float] = {}
-    for metrics in (plan.metrics, *(operation.metrics for operation in plan.operations)):
-        for name, seconds in metrics.get("stages", {}).items():
-            laps[name] = laps.get(name, 0.0) + float(seconds)
-    return {name: seconds for name, seconds in laps.items() if seconds >= 0.05}

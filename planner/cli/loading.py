@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from planner.cli.console import out
 from planner.files import RELEASE, write_whole
 from planner.issues import Issue, Severity, TandemError
 
@@ -108,7 +109,6 @@ def _password(user: str, where: str) -> str:
 def run_upload(request: Upload) -> Sent:
     """Send a result, and tell what is there now."""
     from planner import pipeline
-    from planner.cli.command_line import out
     from planner.loading import compare, proven, upload
     from planner.loading.rws import Rws
 

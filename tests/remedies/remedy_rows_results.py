@@ -16,8 +16,9 @@ import yaml
 
 from planner import files, pipeline
 from planner.batch.batch_file import read_batch
-from planner.cli import command_line, statement
 from planner.cli import preparation as align_commands
+from planner.cli import statement
+from planner.cli.verification import compare_with_file
 from planner.issues import Issue
 from planner.reading import problem as problem_file
 from planner.verify.prove import Prover
@@ -150,7 +151,7 @@ def compare(folder: Path, data: Any) -> list[Issue]:
         path = folder / "out" / "problem" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return list(command_line._compared(pipeline, folder / "out", pipeline.load(own), own))
+    return list(compare_with_file(pipeline, folder / "out", pipeline.load(own), own))
 
 
 def use_key(folder: Path, data: Any) -> list[Issue]:

@@ -12,7 +12,7 @@ import pytest
 
 from planner import pipeline
 from planner.batch.rows import figures
-from planner.cli import command_line
+from planner.cli import console
 from tests import small_problem
 
 TAGS = re.compile(r"<(script|style|svg)\b.*?</\1>|<[^>]+>", re.DOTALL)
@@ -99,5 +99,5 @@ def test_the_time_from_first_to_last_target_is_one(
     (minutes, seconds), *more = set(re.findall(r"(\d+):([\d.]+) from first to last target", replay))
     assert not more
     assert 60 * int(minutes) + float(seconds) == pytest.approx(page, abs=0.05)
-    command_line._summary(outcome, folder, 1.0)
+    console.print_summary(outcome, folder, 1.0)
     assert shown(r"([\d.]+) s of motion", capsys.readouterr().out) == pytest.approx(page, abs=0.05)

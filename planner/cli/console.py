@@ -1,0 +1,78 @@
+"""Terminal output that commands share: consoles, issues, progress, and the summary of a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from planner.issues import Issue, Severity
+
+if TYPE_CHECKING:
+    from planner.plans import Plan
+
+SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
+"""Style of issues in the terminal, by severity."""
+
+out = Console()
+err = Console(stderr=True)
+
+
+def print_issues(found: tuple[Issue, ...]) -> None:
+    """Print issues to standard error, one per line."""
+    for issue in found:
+        err.print(
+            str(issue), style=SEVERITY_STYLE[issue.severity], markup=False, highlight=False, soft_wrap=True
+        )
+
+
+def print_accepted(codes: Sequence[str]) -> None:
+    """Print the codes of errors that the problem file accepts."""
+    if codes:
+        out.print(f"accepted by the problem, not by Tandem: {', '.join(codes)}", highlight=False)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """Show progress on standard error. The function takes a stage and the fraction of it that is done."""
+    columns = (SpinnerColumn(), TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        tasks: dict[str, object] = {}
+
+        def progress(stage: str, fraction: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=1.0)
+            bar.update(tasks[stage], completed=fraction)  # type: ignore[arg-type]
+
+        yield progress
+
+
+def print_summary(outcome: object, output: Path, seconds: float) -> None:
+    """Print the verdict, the length of the motion and the planning time [s] of an outcome in ``output``."""
+    from planner.pipeline import Outcome
+
+    if not isinstance(outcome, Outcome):
+        raise TypeError(f"expected an Outcome, got {type(outcome).__name__}")
+    moves = sum(operation.targets.count for operation in outcome.plan.operations)
+    cycle = outcome.plan.duration
+    verdict = "verified" if outcome.verified else "NOT verified, no programs written"
+    out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.1f} s of motion, {verdict}")
+    print_accepted(outcome.accepted)
+    stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _laps(outcome.plan).items())
+    spent = f" ({stages})" if stages else ""
+    out.print(
+        f"planned in {seconds:.1f} s{spent}; see {output / 'report.html'}", highlight=False, markup=False
+    )
+
+
+def _laps(plan: Plan) -> dict[str, float]:
+    """Return the time [s] of each stage of motion planning, summed over all operations, if it took any."""
+    laps: dict[str, float] = {}
+    for metrics in (plan.metrics, *(operation.metrics for operation in plan.operations)):
+        for name, seconds in metrics.get("stages", {}).items():
+            laps[name] = laps.get(name, 0.0) + float(seconds)
+    return {name: seconds for name, seconds in laps.items() if seconds >= 0.05}
