@@ -42,7 +42,7 @@ from planner.service.models import (
     reason,
     shown,
 )
-from planner.service.schema import VERSION, NoVersionError, bring_up_to_date, version_of
+from planner.service.schema import VERSION, NoVersionError, create_or_check, has_store, version_of
 from planner.service.service import lock_data
 from planner.service.storage import GRACE_S, Files, is_sha
 
@@ -97,8 +97,7 @@ def back_up(data: Path, database: str | None, folder: Path) -> Backup:
 
 
 def restore(folder: Path, data: Path, database: str | None) -> Backup:
-    """Restore a backup into an empty data folder, and into ``database`` where one is given; tables of an
-    older version are brought up to date.
+    """Restore a backup into an empty data folder, and into ``database`` where one is given.
 
     Nothing is overwritten. Files come first and the database last, all at once. Raises ``TandemError`` as
     :func:`back_up`.
@@ -116,9 +115,8 @@ def restore(folder: Path, data: Path, database: str | None) -> Backup:
             copy.touch(mode=0o600)  # and so are its logs, which SQLite makes like it
             shutil.copyfile(folder / DATABASE, copy)
             _read(copy)
-            Database(_sqlite(copy)).close()  # brings it up to date
             _check_tables(folder, copy)
-            made, named = _read(copy)
+            made, named = _read(copy)  # again, because checking the tables switched the log on
             lost = _copied(named, Files(folder / FILES), Files(data / FILES))
             if lost is not None:
                 raise _refused(f"backup {folder}: file {lost} is missing; it is damaged, take another one")
@@ -167,8 +165,7 @@ def _moment(url: str, copy: Path) -> None:
         return
     try:
         with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as guard:
-            # who brings the tables up to date waits for this, and this for who does; the transaction below
-            # sees what is there when the wait is over
+            # services take this lock while they create the tables, so the transaction below sees all or none
             guard.execute(text("SELECT pg_advisory_lock_shared(7223)"))
             _moment_of_postgresql(engine, url, copy)
     except SQLAlchemyError as error:
@@ -182,11 +179,11 @@ def _moment_of_postgresql(engine: Engine, url: str, copy: Path) -> None:
     with engine.connect().execution_options(**options) as source, source.begin():
         found = version_of(source)
         if found != VERSION:
-            what = "there is no store in it" if found is None else f"has tables of version {found}"
-            way = (
-                f"this program makes backups of version {VERSION}; use pg_dump, or the program that wrote it"
-            )
-            raise _refused(f"database {shown(url)}: {what}; {way}")
+            if found is None:
+                raise _refused(f"database {shown(url)}: contains no store. Correct --database.")
+            problem = f"has tables of version {found} (expected {VERSION})"
+            remedy = "Use pg_dump, or the version of tandem-planner that created the store."
+            raise _refused(f"database {shown(url)}: {problem}. {remedy}")
         target = Database(_sqlite(copy))
         with target.write() as written:
             _copy_rows(source, written)
@@ -198,7 +195,7 @@ def _fill(url: str, copy: Path) -> None:
     source = Database(_sqlite(copy))
     with _begun(url) as written, source.read() as read:
         _check_empty(written)
-        bring_up_to_date(written, METADATA)
+        create_or_check(written, METADATA)
         _copy_rows(read, written)
     source.close()
 
@@ -243,7 +240,7 @@ def _check_no_log(path: Path) -> None:
 
 
 def _check_empty(connection: Connection) -> None:
-    if version_of(connection) is not None:
+    if has_store(connection):
         raise _refused("the database has Tandem's tables already; give --database an empty one")
 
 
@@ -263,26 +260,39 @@ def _read(copy: Path) -> tuple[Backup, dict[str, int]]:
         if said != "ok":
             raise _refused(f"database {copy}: is damaged ({said}); take another backup")
     engine = open_engine(_sqlite(copy))
-    with engine.connect() as connection:
-        version = version_of(connection)
-        if version is None:
-            raise _refused(f"database {copy}: there is no store in it; give --data as the service has it")
-        if version > VERSION:
-            what = f"has tables of version {version}, this program knows {VERSION} and older ones"
-            raise _refused(f"database {copy}: {what}; update tandem-planner on this machine")
-        jobs = int(connection.execute(text("SELECT count(*) FROM tandem_jobs")).scalar_one())
-        rows = connection.execute(text("SELECT DISTINCT sha, size FROM tandem_files ORDER BY sha"))
-        named: dict[str, int] = {}
-        for sha, size in rows:
-            if not is_sha(sha) or not isinstance(size, int) or size < 0:
-                got = f"got the name {str(sha)[:80]!r} and the size {str(size)[:20]!r}"
-                way = "a SHA-256 of 64 hexadecimal digits and bytes are allowed; it is damaged, take another"
-                raise _refused(f"database {copy.name}: table tandem_files: {got}; {way} backup")
-            named[sha] = size
-    engine.dispose()
+    try:
+        with engine.connect() as connection:
+            version, jobs = _jobs_of(connection, copy)
+            named = _files_of(connection, copy)
+    finally:  # closing the last connection removes the logs
+        engine.dispose()
     with contextlib.closing(_opened(copy)) as db:
         db.execute("PRAGMA journal_mode=DELETE")
     return Backup(version, jobs, len(named), sum(named.values())), named
+
+
+def _jobs_of(connection: Connection, copy: Path) -> tuple[int, int]:
+    """Check the version of a copied store; return the version and the number of jobs."""
+    version = version_of(connection)
+    if version is None:
+        raise _refused(f"database {copy}: there is no store in it; give --data as the service has it")
+    if version != VERSION:
+        problem = f"has tables of version {version} (expected {VERSION})"
+        remedy = "Use the version of tandem-planner that created the store."
+        raise _refused(f"database {copy}: {problem}. {remedy}")
+    return version, int(connection.execute(text("SELECT count(*) FROM tandem_jobs")).scalar_one())
+
+
+def _files_of(connection: Connection, copy: Path) -> dict[str, int]:
+    """Read the sizes [bytes] of the files of a copied store, by SHA-256."""
+    sizes: dict[str, int] = {}
+    for sha, size in connection.execute(text("SELECT DISTINCT sha, size FROM tandem_files ORDER BY sha")):
+        if not is_sha(sha) or not isinstance(size, int) or size < 0:
+            got = f"got the name {str(sha)[:80]!r} and the size {str(size)[:20]!r}"
+            way = "a SHA-256 of 64 hexadecimal digits and bytes are allowed; it is damaged, take another"
+            raise _refused(f"database {copy.name}: table tandem_files: {got}; {way} backup")
+        sizes[sha] = size
+    return sizes
 
 
 def _check_tables(folder: Path, copy: Path) -> None:
@@ -349,7 +359,7 @@ def _told(folder: Path) -> Iterator[None]:
         what = f"its database cannot be read or written ({str(error)[:200]})"
         raise _refused(f"backup {folder}: {what}; it is damaged, take another one") from error
     except NoVersionError as error:
-        raise _refused(f"backup {folder}: {error}") from error
+        raise _refused(f"backup {folder}: {error}. The database is damaged. Use another backup.") from error
     except SQLAlchemyError as error:
         said = reason(error) if isinstance(error, DBAPIError) else type(error).__name__
         what = f"its database cannot be read or written ({said})"

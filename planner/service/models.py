@@ -44,7 +44,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.sql.elements import ColumnElement
 
 from planner.issues import Issue, TandemError
-from planner.service.schema import VERSION, NewerError, NoVersionError, bring_up_to_date
+from planner.service.schema import VERSION, NoVersionError, SchemaVersionError, create_or_check
 
 LONGEST_TAG: Final = 40
 """Characters of a tag of jobs."""
@@ -281,7 +281,7 @@ DRAFT_VERSIONS: Final = Table(
 SCHEMA: Final = Table(
     "tandem_schema", METADATA, Column("version", Integer, primary_key=True, autoincrement=False)
 )
-"""The version of these tables; :mod:`planner.service.schema` has the steps from older ones."""
+"""Version of these tables, :data:`planner.service.schema.VERSION`."""
 
 POOL_SIZE: Final = 20
 """Connections to the database that stay open; as many more may come for a while."""
@@ -297,7 +297,7 @@ class Database:
     def __init__(self, url: str) -> None:
         """Raises ``TandemError`` with ``service.database`` where it cannot be opened."""
         self._lock = threading.Lock()
-        self.newer: NewerError | None = None
+        self.newer: SchemaVersionError | None = None
         """What is told once the tables have become those of a version that this program does not know."""
         try:
             self._engine = open_engine(url)
@@ -305,11 +305,12 @@ class Database:
             with self._engine.execution_options(write=True).begin() as connection:
                 if not self.sqlite:
                     connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
-                bring_up_to_date(connection, METADATA)
-        except (NewerError, NoVersionError) as error:
+                create_or_check(connection, METADATA)
+        except (SchemaVersionError, NoVersionError) as error:
             self._engine.dispose()
-            issue = Issue("service.database", f"database {shown(url)}: {error}", field="database")
-            raise TandemError(issue) from error
+            remedy = error.remedy if isinstance(error, SchemaVersionError) else "Restore a backup."
+            message = f"database {shown(url)}: {error}. {remedy}"
+            raise TandemError(Issue("service.database", message, field="database")) from error
         except (DBAPIError, ArgumentError, NoSuchModuleError, ImportError) as error:
             raise TandemError(cannot_open(url, error)) from error
         self._writer = self._engine.execution_options(write=True)
@@ -336,10 +337,10 @@ class Database:
             db.execute(text("SELECT 1"))
 
     def look(self, connection: Connection) -> None:
-        """Raises ``NewerError`` where the tables have become those of a newer version."""
+        """Raise ``SchemaVersionError`` if another program has changed the tables to a newer version."""
         found = connection.execute(text("SELECT max(version) FROM tandem_schema")).scalar()
         if isinstance(found, int) and found > VERSION:
-            self.newer = NewerError(found)
+            self.newer = SchemaVersionError(found)
             raise self.newer
 
     def clock(self) -> ColumnElement[float]:

@@ -37,7 +37,7 @@ from planner.service.jobs import (
     remove,
 )
 from planner.service.models import DELETED, ELEMENT_JOBS, JOBS, OPEN, SESSIONS, Database, State
-from planner.service.schema import NewerError
+from planner.service.schema import SchemaVersionError
 from planner.service.security import MB, issue_json
 from planner.service.storage import Blob, Files
 
@@ -131,8 +131,8 @@ class Work:
         )
 
     def renew(self) -> None:
-        """Hold on to this host's jobs. Raises ``NewerError`` where the tables have become those of a newer
-        version."""
+        """Hold on to this host's jobs. Raises ``SchemaVersionError`` where the tables have become those of a
+        newer version."""
         mine = and_(JOBS.c.host == self._host, JOBS.c.state == "running")
         with self._database.write() as db:
             self._database.look(db)
@@ -393,8 +393,10 @@ class Runner(threading.Thread):
                 team = team or self._make_team()
                 self._round(team)
                 self._troubled = False
-            except NewerError as error:
-                LOG.error("the database %s; requests and jobs are taken no more", error)
+            except SchemaVersionError as error:
+                LOG.error(
+                    "the database %s. This host stops accepting requests and jobs. %s", error, error.remedy
+                )
                 self._claimed.clear()  # their leases come to an end, and a host that knows the tables goes on
                 self._on_newer()
                 break

@@ -232,8 +232,9 @@ class Service:
         """Why no request is taken, whoever asks; None where some are."""
         if self.database.newer is None:
             return None
-        issue = Issue("service.database", f"the database {self.database.newer}; or ask another host")
-        return RefusedError(503, issue, {"Retry-After": "60"})
+        remedy = "Update tandem-planner on this host, or use another host of the service."
+        message = f"the database {self.database.newer}. {remedy}"
+        return RefusedError(503, Issue("service.database", message), {"Retry-After": "60"})
 
     def unready(self) -> list[Issue]:
         """Why jobs are not taken in or not planned now; nothing where they are."""

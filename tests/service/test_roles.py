@@ -21,7 +21,6 @@ from planner.service.models import Database, default_url
 from planner.service.security import Auth, Limits
 from tests.service import postgres
 from tests.service.support import HERE, InProcess, codes, named, until
-from tests.service.test_schema import TOKEN, old_store
 
 REFUSED: Final = [("service.role", "Authorization")]
 UNKNOWN: Final = [("service.unknown_job", None)]
@@ -293,12 +292,6 @@ def test_wrong_secrets_do_not_learn_that_a_token_is_over(shop: Shop) -> None:
     wrong = over[:-1] + ("A" if over[-1] != "A" else "B")
     assert "unknown or was revoked" in shop.here.http.get("/v1/jobs", headers=bearer(wrong)).text
     assert "has come to its end" in shop.here.http.get("/v1/jobs", headers=bearer(over)).text
-
-
-def test_tokens_of_before_there_were_roles_may_do_all(tmp_path: Path) -> None:
-    with InProcess(old_store(tmp_path / "old", 3), examiners=1, require_token=True) as here:
-        said = here.http.get("/v1/session", headers=bearer(TOKEN)).json()
-        assert said == {"name": "ann", "role": "release", "tokens": True}
 
 
 def test_without_tokens_all_may_be_done(tmp_path: Path) -> None:

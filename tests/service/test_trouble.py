@@ -71,9 +71,9 @@ def test_tables_of_a_newer_version_end_the_work_of_an_older_host(
     ):
         assert (answer.status_code, answer.headers["retry-after"]) in ((503, "60"), (503, "5"))
         assert codes(answer) == [("service.database", None)]
-        assert "update tandem-planner on this machine" in answer.text
+        assert "Update tandem-planner on this host" in answer.text
     assert here.http.get("/v1/health").status_code == 503
-    assert "requests and jobs are taken no more" in caplog.text
+    assert "This host stops accepting requests and jobs" in caplog.text
     here.team.hold.clear()
     with here.service.database.read() as db:  # another host takes it over when its lease is over
         assert db.execute(select(JOBS.c.state, JOBS.c.attempts)).one() == ("running", 1)
