@@ -9,9 +9,7 @@ from __future__ import annotations
 import importlib
 import json
 import pkgutil
-import platform
 import sys
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,24 +17,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from bench.machine import machine
+
 SUFFIX = "_bench"
-PACKAGES = ("drake", "numpy", "scipy", "toppra", "py-opw-kinematics")
 
 
 def names() -> list[str]:
     """The measurements there are: modules of this package that end in ``_bench``."""
     found = (module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
     return sorted(name.removesuffix(SUFFIX) for name in found if name.endswith(SUFFIX))
-
-
-def machine() -> dict[str, str]:
-    """What the figures were measured on."""
-    cpu = Path("/proc/cpuinfo")
-    lines = cpu.read_text().splitlines() if cpu.exists() else []
-    model = next(
-        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown"
-    )
-    return {"cpu": model, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
 def main(arguments: list[str]) -> int:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +26,7 @@ from toppra import algorithm, constraint
 from toppra.interpolator import SplineInterpolator
 
 from bench import drake_bench, tesseract_bench, timing_bench
+from bench.machine import machine
 from planner.catalogue.robots import RobotData, robot, urdf_path
 from planner.cell.kinematics import forward, joint_axes, link_frames
 from planner.geometry.arrays import FloatArray
@@ -276,9 +276,9 @@ def main(arguments: list[str]) -> int:
         )
     Console(width=180).print(table)
     if wanted.write:
-        machine = importlib.import_module("bench.__main__").machine()
-        system = f"{machine['cpu']}, one core, processor time; {os.confstr('CS_GNU_LIBC_VERSION')}, "
-        system += f"Python {machine['python']}, {', '.join(map(installed, PACKAGES))}"
+        facts = machine()
+        system = f"{facts['cpu']}, one core, processor time; {os.confstr('CS_GNU_LIBC_VERSION')}, "
+        system += f"Python {facts['python']}, {', '.join(map(installed, PACKAGES))}"
         PAGE.write_text(
             with_table(PAGE.read_text(encoding="utf-8"), markdown(found, system)), encoding="utf-8"
         )

@@ -16,7 +16,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal, Protocol
 
 from sqlalchemy import Connection, func, select
 
@@ -27,9 +27,11 @@ from planner.element.nested_output import PROBLEMS
 from planner.issues import Issue, TandemError
 from planner.service import audit, element_problems, idempotency
 from planner.service.element_problems import Problem
+from planner.service.examined import Examined
 from planner.service.finding import Wanted
 from planner.service.idempotency import Once
 from planner.service.jobs import (
+    Jobs,
     NewJob,
     OfElement,
     job_files,
@@ -44,6 +46,7 @@ from planner.service.models import (
     JOBS,
     MARKS,
     OPEN,
+    Database,
     ElementOut,
     ElementPanels,
     ElementReleases,
@@ -53,12 +56,11 @@ from planner.service.models import (
     PanelRelease,
     Shown,
 )
+from planner.service.pieces import Pieces
+from planner.service.releases import Releases
 from planner.service.security import RefusedError, Who
-from planner.service.storage import Blob, Upload
-from planner.service.upload_processes import Examined, Reading
-
-if TYPE_CHECKING:
-    from planner.service.service import Pieces, Service
+from planner.service.storage import Blob, Files, Storage, Upload
+from planner.service.upload_processes import Reading
 
 DATA: Final = "element.json"
 """The result of a division that has all of it as data."""
@@ -76,10 +78,57 @@ _OUT: Final = set(ElementOut.model_fields)
 """What is told of an element without its panels."""
 
 
+class ElementService(Protocol):
+    """The parts of :class:`planner.service.service.Service` that :class:`Elements` uses."""
+
+    database: Database
+    jobs: Jobs
+    files: Files
+    storage: Storage
+    releases: Releases
+    scratch: Path
+
+    def examine_element(
+        self, sha: str, uploads: Mapping[str, Blob], fields: Mapping[str, Any], reading: Reading
+    ) -> Examined:
+        """Read an uploaded element."""
+        ...
+
+    def examine_panels(
+        self, files: Mapping[str, Blob], panels: Sequence[str], reading: Reading
+    ) -> Pieces[dict[str, Examined]]:
+        """Read panels of a divided element, by their ids."""
+        ...
+
+    def stored(
+        self,
+        owner: str,
+        read: Mapping[str, Examined],
+        uploads: Mapping[str, Blob],
+        document: str | None = None,
+    ) -> dict[str, dict[str, Blob]]:
+        """Store the files of the jobs for what was read."""
+        ...
+
+    def new_job(
+        self,
+        owner: str,
+        name: str,
+        read: Examined,
+        files: Mapping[str, Blob],
+        timeout_s: float | None = None,
+        memory_mb: float | None = None,
+        of: OfElement | None = None,
+        after: str = "",
+    ) -> NewJob:
+        """Describe the job for what was read."""
+        ...
+
+
 class Elements:
     """The elements of a service."""
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: ElementService) -> None:
         self._service, self._database = service, service.database
         self._jobs, self._files = service.jobs, service.files
         self._data = functools.lru_cache(KEPT)(self._read_data)

@@ -15,9 +15,9 @@ import shutil
 import socket
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import AsyncIterator, Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import anyio
 import anyio.to_thread
@@ -29,17 +29,19 @@ from planner.issues import Issue, TandemError
 from planner.service.drafts import Drafts
 from planner.service.elements import Elements
 from planner.service.estimates import Estimates
+from planner.service.examined import Examined
 from planner.service.idempotency import Once
 from planner.service.jobs import Hub, Jobs, NewJob, OfElement
 from planner.service.links import Links
 from planner.service.models import Database, JobOut, default_url
+from planner.service.pieces import Pieces, Read
 from planner.service.rates import FAILURES_PER_S, Rates
 from planner.service.releases import Releases
 from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
 from planner.service.storage import Blob, Files, Storage, Upload
 from planner.service.texts import begin
-from planner.service.upload_processes import Examined, Examiners, Reading, connection_closed
+from planner.service.upload_processes import Examiners, Reading, connection_closed
 from planner.service.webhooks import Sender, Webhooks
 
 if TYPE_CHECKING:
@@ -47,9 +49,6 @@ if TYPE_CHECKING:
 
 PID_MARK: Final = ".pid-"
 """Stands before the process identifier in the name of a service's folder."""
-Read = TypeVar("Read")
-Pieces = Generator[None, None, Read]
-"""A reading in pieces: it waits for its turn at each ``yield``, and returns what it has read."""
 PANELS_AT_ONCE: Final = 20
 """Panels of an element that are read before others have their turn."""
 REMEMBERED: Final = 256

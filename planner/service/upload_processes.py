@@ -27,34 +27,13 @@ from typing import Any, Final, TextIO
 from planner.batch.workers import THREADS
 from planner.issues import Issue
 from planner.runtime.second_process import module_path
+from planner.service.examined import Examined
 from planner.service.security import RefusedError
 
 MB: Final = 1 << 20
 """Bytes of a megabyte, as limits of memory are counted (2^20)."""
 KEPT: Final = "targets"
 """The folder of targets that are kept, beside those of readings."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Examined:
-    """What is known of an upload. Where it can be read: ``text``, the problem as it stands alone, ``files``
-    {name in it: SHA-256}, its ``name``, ``digest``, ``processes`` and ``summary``; else errors alone."""
-
-    issues: tuple[Issue, ...]
-    name: str = ""
-    digest: str = ""
-    processes: tuple[str, ...] = ()
-    text: str = ""
-    files: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    summary: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    shapes: tuple[Mapping[str, Any], ...] = ()
-    looked_at: Mapping[str, Any] | None = None
-    cell: Mapping[str, Any] | None = None
-
-    @property
-    def readable(self) -> bool:
-        """Whether the problem can be planned, as far as its file says."""
-        return bool(self.text)
 
 
 class Reader:

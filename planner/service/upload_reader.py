@@ -48,8 +48,8 @@ from planner.reading.strict_yaml import Document
 from planner.report.raster import part_meshes
 from planner.runtime.memoize import use_cache
 from planner.service import kept_targets
+from planner.service.examined import Examined
 from planner.service.kept_files import KeptFiles
-from planner.service.upload_processes import Examined
 
 NOWHERE: Final = "files/not-uploaded"
 """Stands for a file that was not uploaded; there is none of this name."""

@@ -17,9 +17,10 @@ import anyio
 import pytest
 from starlette.requests import Request
 
+from planner.service.examined import Examined
 from planner.service.models import Database, default_url
 from planner.service.security import Auth, Limits, RefusedError
-from planner.service.upload_processes import Examined, Examiners, Reader, Reading, connection_closed
+from planner.service.upload_processes import Examiners, Reader, Reading, connection_closed
 from tests import small_problem
 from tests.service.support import InProcess, codes, named, until
 

@@ -29,77 +29,12 @@ from planner.catalogue.robots import (
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue, TandemError
 from planner.verify.replay import offset_arm, parallel_arm, seven_arm
+from planner.verify.replay.chain import Chain
 
 BASE_LINK: Final = "base_link"
 """The link that the chain goes from, the robot's foot."""
 TIP_LINK: Final = "tool0"
 """The link that the chain goes to, the robot's flange."""
-
-POSTURES_TOGETHER: Final = 4096
-"""Postures that are worked out at once: their arrays stay in the processor's cache."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Chain:
-    """Six turning joints in a row, or seven of a robot of the user's own: J in what follows.
-
-    ``links``: names of the links that the joints turn, and of the tip, which is fixed to the last one.
-    ``zero`` (J + 1, 4, 4): their frames in the base with all joints at zero. ``axis`` (J, 3): unit vectors of
-    the joints' axes in the base, at zero; axis i goes through the origin of frame i. ``lower``, ``upper``
-    [rad] and ``velocity`` [rad/s] (J,): limits, NaN where the file states none. ``step`` (J + 1, 4, 4): from
-    each joint's frame, its axis laid along z, to the next one's, the first from the base, the last to the
-    tip; ``lay`` (J, 3, 3): the rotations that lay z along the axes in the links' frames.
-    """
-
-    links: tuple[str, ...]
-    zero: FloatArray
-    axis: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    velocity: FloatArray
-    step: FloatArray
-    lay: FloatArray
-
-    def tip(self, q: FloatArray) -> FloatArray:
-        """Poses (..., 4, 4) of the tip in the base at joint angles ``q`` (..., J) [rad]."""
-        return self._followed(q, tip_only=True)[..., 0, :, :]
-
-    def frames(self, q: FloatArray) -> FloatArray:
-        """Poses (..., J + 1, 4, 4) of all links and the tip in the base at joint angles ``q`` (..., J)
-        [rad]."""
-        return self._followed(q, tip_only=False)
-
-    def _followed(self, q: FloatArray, tip_only: bool) -> FloatArray:
-        count = len(self.axis)
-        rows = np.asarray(q, dtype=np.float64).reshape(-1, count)
-        out = np.zeros((len(rows), 1 if tip_only else count + 1, 4, 4))
-        out[..., 3, 3] = 1.0
-        for first in range(0, len(rows), POSTURES_TOGETHER):
-            some = slice(first, first + POSTURES_TOGETHER)
-            self._follow(rows[some], out[some], tip_only)
-        return out.reshape(*np.shape(q)[:-1], *out.shape[1:])
-
-    def _follow(self, q: FloatArray, out: FloatArray, tip_only: bool) -> None:
-        """Fills ``out`` (B, J + 1 or 1, 4, 4). Axes and place are kept as rows, (3, 3 B) and (3 B,): a turn
-        about z mixes two of them, a step is one product with a constant."""
-        count = len(q)
-        cos, sin = (np.tile(f(q.T), 3) for f in (np.cos, np.sin))
-        axes = np.repeat(self.step[0, :3, :3].T, count, axis=1)
-        place = np.repeat(self.step[0, :3, 3], count)
-        for i in range(len(self.axis)):
-            x, y = axes[0], axes[1]
-            axes = np.stack([cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, axes[2]])
-            if not tip_only:
-                _put(out[:, i], self.lay[i] @ axes, place)
-            place = place + self.step[i + 1, :3, 3] @ axes
-            axes = self.step[i + 1, :3, :3].T @ axes
-        _put(out[:, -1], axes, place)
-
-
-def _put(out: FloatArray, axes: FloatArray, place: FloatArray) -> None:
-    """Axes (3, 3 B) and places (3 B,) as poses (B, 4, 4)."""
-    out[:, :3, :3] = axes.reshape(3, 3, -1).transpose(2, 1, 0)
-    out[:, :3, 3] = place.reshape(3, -1).T
 
 
 def read_chain(text: str, base: str = BASE_LINK, tip: str = TIP_LINK, own: bool = False) -> Chain:

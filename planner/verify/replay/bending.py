@@ -19,7 +19,8 @@ from planner.claims.claim import FEED_WAY, ArmSags
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.geometry.units import GRAVITY
 from planner.issues import Issue, TandemError
-from planner.verify.replay.arm_model import POSTURES_TOGETHER, Machine
+from planner.verify.replay.arm_model import Machine
+from planner.verify.replay.chain import POSTURES_TOGETHER
 from planner.verify.replay.motion import Instants, Motion, Poses
 
 ROUNDS: Final = 3

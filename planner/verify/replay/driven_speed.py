@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, inverse
-from planner.verify.replay.arm_model import Chain, Machine
+from planner.verify.replay.arm_model import Machine
+from planner.verify.replay.chain import Chain
 from planner.verify.replay.moves import cubic
 
 _GRIDS: Final = (16, 64, 256, 1024)

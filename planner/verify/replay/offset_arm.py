@@ -12,16 +12,14 @@ planner, which searches for all solutions of a pose.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from planner.catalogue.robots import OffsetParameters
 from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
 from planner.verify.replay import parallel_arm
-
-if TYPE_CHECKING:
-    from planner.verify.replay.arm_model import Chain
+from planner.verify.replay.chain import Chain
 
 LARGEST_STEP: Final = 0.14
 """No joint may go farther from one sample to the next [rad]: the jump that ``verify.continuity`` allows."""

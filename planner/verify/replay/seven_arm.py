@@ -4,16 +4,14 @@ joints, so nothing here solves for them."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from planner.catalogue.robots import SevenParameters
 from planner.geometry.arrays import FloatArray
 from planner.verify.replay import parallel_arm
-
-if TYPE_CHECKING:
-    from planner.verify.replay.arm_model import Chain
+from planner.verify.replay.chain import Chain
 
 _ABOUT: Final = (2, 1, 2, 1, 2, 1, 2)
 """Axes of the links, by number, about which the joints turn."""

@@ -15,6 +15,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from planner.catalogue import robots
 from planner.issues import TandemError
 from planner.verify.replay import arm_model, inverse_kinematics
+from planner.verify.replay.chain import POSTURES_TOGETHER
 from tests.robot_sample import SAMPLE
 
 
@@ -95,7 +96,7 @@ def test_a_solution_that_the_chain_does_not_lead_back_from_does_not_count():
 
 def test_batches_keep_their_shape():
     machine = arm_model.machine_of(robots.robot("kr60_ha"))
-    q = postures(machine, arm_model.POSTURES_TOGETHER + 6).reshape(-1, 2, 6)
+    q = postures(machine, POSTURES_TOGETHER + 6).reshape(-1, 2, 6)
     assert machine.chain.frames(q).shape == (len(q), 2, 7, 4, 4)
     assert machine.flange(q[0, 0]).shape == (4, 4)
     for i in (0, len(q) // 2, len(q) - 1):

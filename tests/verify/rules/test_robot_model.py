@@ -16,7 +16,7 @@ from planner.cell.plant import CellModel, build
 from planner.issues import TandemError
 from planner.verify.context import Context
 from planner.verify.prove import Prover, prove
-from planner.verify.replay.arm_model import Chain
+from planner.verify.replay.chain import Chain
 from planner.verify.rules import robot_motion
 from tests.verify import held_job, krl_job, small_job
 
