@@ -6,6 +6,7 @@ writes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -165,15 +166,43 @@ def batch_fields() -> str:
     return "\n".join([_table(batch_file.BatchFile), "A range of `vary`:", "", _table(batch_file.RangeFile)])
 
 
-def codes() -> str:
-    """Issue codes but those of rules, by subject, with the files in which they stand."""
-    texts = {path: path.read_text("utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
+def code_index() -> str:
+    """The files of all rules and issue codes, as two tables."""
+    texts = {path.relative_to(PACKAGE).as_posix(): path.read_text("utf-8") for path in PACKAGE.rglob("*.py")}
+    return "\n".join(
+        [
+            "## Rules",
+            "",
+            "A rule is a function decorated with `@rule`. Codes are listed without `verify.`.",
+            "",
+            _rule_index(texts),
+            "## Other issue codes",
+            "",
+            "Grouped by the first word of the code, which names the subject and not always the folder.",
+            "",
+            _issue_index(texts),
+        ]
+    )
+
+
+def _rule_index(texts: dict[str, str]) -> str:
+    """Rules by file."""
+    rows = []
+    for file, text in sorted(texts.items()):
+        found = re.findall(r'^@rule\(\s*"verify\.([\w.]+)"', text, re.MULTILINE)
+        if found:
+            rows.append(f"| `{file}` | {', '.join(found)} |")
+    return "\n".join(["| file | rules |", "|---|---|", *rows, ""])
+
+
+def _issue_index(texts: dict[str, str]) -> str:
+    """Issue codes other than those of rules, by subject and file."""
     rows: dict[str, dict[str, list[str]]] = {}
     for code in sorted(code for code in CODES if not code.startswith("verify.")):
         subject, _, name = code.partition(".")
-        for path, text in texts.items():
-            if f'"{code}"' in text and path.name != "issue_codes.py":
-                rows.setdefault(subject, {}).setdefault(path.relative_to(PACKAGE).as_posix(), []).append(name)
+        for file, text in sorted(texts.items()):
+            if f'"{code}"' in text and not file.endswith("issue_codes.py"):
+                rows.setdefault(subject, {}).setdefault(file, []).append(name)
     lines = [f"| `{subject}` | {_by_file(files)} |" for subject, files in rows.items()]
     return "\n".join(["| code | files |", "|---|---|", *lines, ""])
 
@@ -186,7 +215,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "problem_file.md": fields,
     "proof.md": rules,
     "batch.md": batch_fields,
-    "architecture.md": codes,
+    "code_index.md": code_index,
 }
 
 

@@ -11,10 +11,26 @@ from pathlib import Path
 
 import pytest
 
-from planner import verify
-
 ROOT = Path(__file__).resolve().parents[2]
-VERIFY = Path(verify.__path__[0])
+PACKAGE = ROOT / "planner"
+FOLDERS = (
+    *("verify", "proof", "programs"),
+    *("processes/*/proof", "languages/*/reader", "languages/*/rules"),
+)
+"""Folders of the proof: what it needs to read programs, to replay them and to judge their motion."""
+
+
+@functools.cache
+def proof_files() -> dict[str, Path]:
+    """Files of the proof by the names of their modules."""
+    folders = [folder for pattern in FOLDERS for folder in PACKAGE.glob(pattern)]
+    files = [path for folder in folders for path in folder.rglob("*.py")]
+    names = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in files
+    ]
+    return dict(zip(names, files, strict=True))
+
+
 NEVER = (
     "planner.motion",
     "planner.cell.kinematics",
@@ -63,11 +79,11 @@ def read(path: Path) -> tuple[set[str], set[str], set[str]]:
 def imported(path: Path) -> set[str]:
     """Modules of Tandem outside of the proof that a file imports."""
     found, _, _ = read(path)
-    return {name for name in found if name.split(".")[0] == "planner" and name.split(".")[1:2] != ["verify"]}
+    return {name for name in found if name.split(".")[0] == "planner" and name not in proof_files()}
 
 
 def all_imported() -> dict[str, set[str]]:
-    return {str(path.relative_to(VERIFY)): imported(path) for path in VERIFY.rglob("*.py")}
+    return {name: imported(path) for name, path in proof_files().items()}
 
 
 def within(name: str, packages: tuple[str, ...]) -> bool:
@@ -88,7 +104,7 @@ def test_no_kinematics_and_no_solver_of_the_planner() -> None:
 
 @pytest.mark.parametrize("name", ["importlib", "__import__", "exec", "eval"])
 def test_no_import_goes_round_the_table(name: str) -> None:
-    for path in VERIFY.rglob("*.py"):
+    for path in proof_files().values():
         _, names, _ = read(path)
         assert name not in names, path.name
 
@@ -96,7 +112,7 @@ def test_no_import_goes_round_the_table(name: str) -> None:
 def test_the_planners_dimensions_are_only_compared() -> None:
     """``RobotData.form`` is what the planner solves with."""
     users = set()
-    for path in VERIFY.rglob("*.py"):
+    for path in proof_files().values():
         _, _, attributes = read(path)
         if attributes & {"form", "opw"}:
             users.add(path.name)
