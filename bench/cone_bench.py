@@ -18,10 +18,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.proc import ONE_THREAD, memory, planned
-from planner import pipeline, processes
+from planner import pipeline
 from planner.cell import clearance
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.replay.clearance_samples import clearance_rows
@@ -77,10 +78,10 @@ def stages(name: str) -> list[dict[str, Any]]:
         return made
 
     problem = pipeline.load(name)
-    targets = timed("targets", lambda: [processes.job(problem, 0).targets()])
+    targets = timed("targets", lambda: [registry.job(problem, 0).targets()])
     plan = timed("motion", lambda: solve.solve(problem, targets, lambda stage, share: None))
     programs = timed("programs", lambda: write.programs(plan, problem))
-    claims = processes.claims(problem)
+    claims = registry.claims(problem)
     prover = Prover(problem, claims)
     proof = timed("proof", lambda: prover.prove(programs))
     took, most = sum(row["median_s"] for row in rows), max(row["peak_mb"] for row in rows)

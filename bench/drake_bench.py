@@ -32,7 +32,7 @@ from pydrake.solvers import (
 from pydrake.trajectories import BsplineTrajectory
 
 from bench.drake_witness import Joined, Witness, constraints, of_plan
-from planner import load, processes
+from planner import load
 from planner.catalogue import robots
 from planner.cell.kinematics import forward
 from planner.cell.plant import rigid
@@ -40,6 +40,7 @@ from planner.geometry.arrays import FloatArray, IndexArray
 from planner.motion.solve import solve
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem
+from planner.processes import registry
 
 ASKED = 100
 """Targets of each job that the witness is asked."""
@@ -77,7 +78,7 @@ def run() -> list[dict[str, Any]]:
     rows = []
     for name in two_arm_jobs():
         problem = load(name)
-        plan = solve(problem, [job.targets() for job in processes.jobs(problem)])
+        plan = solve(problem, [job.targets() for job in registry.jobs(problem)])
         rows += [program_row(name, operation) for operation in plan.operations]
         witness = witness_of(problem, plan)
         kinds = (True, False) if witness.targets.coupled else (False,)
@@ -90,7 +91,7 @@ def run() -> list[dict[str, Any]]:
 def planned(name: str) -> Witness:
     """The witness of a bundled job, planned here."""
     problem = load(name)
-    return witness_of(problem, solve(problem, [job.targets() for job in processes.jobs(problem)]))
+    return witness_of(problem, solve(problem, [job.targets() for job in registry.jobs(problem)]))
 
 
 def witness_of(problem: Problem, plan: Plan) -> Witness:

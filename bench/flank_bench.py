@@ -83,13 +83,14 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
         from planner import pipeline  # noqa: F401
 
     timed("start-up", load)
-    from planner import pipeline, processes
+    from planner import pipeline
     from planner.milling.process_plan import work
     from planner.motion import solve
     from planner.post import write
+    from planner.processes import registry
 
     problem = timed("problem file", lambda: pipeline.load(path))
-    targets = timed("targets", lambda: [processes.job(problem, 0).targets()])
+    targets = timed("targets", lambda: [registry.job(problem, 0).targets()])
     plan = timed("motion", lambda: solve.solve(problem, targets, lambda stage, share: None))
     programs = timed("programs", lambda: write.programs(plan, problem))
     proof = timed("proof", lambda: pipeline.verify(problem, programs))

@@ -17,7 +17,7 @@ import shapely
 import yaml
 
 import planner
-from planner import pipeline, processes
+from planner import pipeline
 from planner.claims.forming import FormsPart
 from planner.cli.forming import Springback, run_springback
 from planner.forming.job import FormingJob
@@ -26,6 +26,7 @@ from planner.forming.springback import forecast
 from planner.forming.springback.curves import Point, forces, solved
 from planner.geometry.arrays import lengths
 from planner.geometry.units import MM
+from planner.processes import registry
 from planner.verify.forming import elastic, springback_file
 from planner.verify.forming.shapes import PartShapes, in_order
 from tests import small_forming
@@ -120,7 +121,7 @@ def _spent() -> float:
 def _released(problem: Any, path: Path) -> tuple[Any, Any]:
     """What places of a part are off [mm] without the shifts of a file and with them, by the proof's own
     shells of many points."""
-    job = next(one for one in processes.jobs(problem) if isinstance(one, FormingJob))
+    job = next(one for one in registry.jobs(problem) if isinstance(one, FormingJob))
     made, claims, stock = job.planned, job.claims(), job.setup.stock
     shapes = PartShapes(next(one for one in claims if isinstance(one, FormsPart)), in_order(claims))
     metal = made.sheet.metal

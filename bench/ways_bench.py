@@ -14,12 +14,13 @@ from unittest import mock
 
 import numpy as np
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.motion import solve, ways
 from planner.motion.planning_scene import Scene
 from planner.motion.shortening import travel
 from planner.motion.ways import Ways, _Moving
 from planner.problem import Problem
+from planner.processes import registry
 from planner.targets import Job
 
 JOBS = (
@@ -73,7 +74,7 @@ def _ways(name: str) -> Iterator[dict[str, Any]]:
         yield from steps
 
     problem: Problem = pipeline.load(PROBLEMS / f"{name}.yaml")
-    jobs: list[Job[Any]] = list(processes.jobs(problem))
+    jobs: list[Job[Any]] = list(registry.jobs(problem))
     with mock.patch.object(ways, "_found", noted):
         solve.solve(problem, [job.targets() for job in jobs])
     yield from out

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Sequence
 from enum import StrEnum
 from typing import Any, Literal
 
-from planner.catalogue.issue_codes import CODES
+from planner.issue_codes import CODES
 
 
 class Severity(StrEnum):
@@ -72,9 +72,7 @@ class Issue:
 
     def __post_init__(self) -> None:
         if self.code not in CODES:
-            raise KeyError(
-                f"issue code {self.code!r} is not in planner/catalogue/issue_codes.py; declare it there"
-            )
+            raise KeyError(f"issue code {self.code!r} is not in planner/issue_codes.py; declare it there")
 
     def to_dict(self) -> dict[str, Any]:
         """The issue as plain data for JSON, without the fields that are unset."""

@@ -15,10 +15,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from planner import processes, spec
+from planner import spec
 from planner.files import RELEASE, RESULT, claim_folder, deferred_sigint, is_file, write_folder, write_whole
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.problem import Cell, Problem
+from planner.processes import registry as processes
 from planner.reading import problem as problem_file
 from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document

@@ -25,7 +25,6 @@ from typing import Any, ClassVar, Self
 
 from pydantic import BaseModel
 
-from planner import processes
 from planner.catalogue.robots import bundled, data_dir
 from planner.files import is_file
 from planner.forming import operation as forming
@@ -34,6 +33,7 @@ from planner.geometry.units import DEG, MM
 from planner.hotwire import operation as hotwire
 from planner.issues import Issue, TandemError
 from planner.milling import operation as milling
+from planner.processes import registry
 from planner.reading import (
     axes,
     cell,
@@ -369,7 +369,7 @@ class Operation(Section):
             self._words["setup"] = dict(setup if isinstance(setup, Setup) else Setup(**setup))
 
     def _check(self) -> None:
-        known = processes.readers()
+        known = registry.readers()
         model = self.model or known.get(str(self._words.get("process")))
         if isinstance(model, type):
             _, faults = problem_file.validate(model, self._words, _document(self._words), ())
@@ -494,7 +494,7 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
     def _check(self) -> None:
         super()._check()
         for index, one in enumerate(self._words["operations"]):
-            faults = problem_file.read_operation(one, index, _document({}), processes.readers())[1]
+            faults = problem_file.read_operation(one, index, _document({}), registry.readers())[1]
             faults += problem_file.read_setup(one, index, _document({}))[1]
             faults += problem_file.read_forces(one, index, _document({}))[1]
             _refuse(faults, type(self).__name__)

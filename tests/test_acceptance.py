@@ -11,13 +11,14 @@ from typing import Any
 import pytest
 import yaml
 
-from planner import pipeline, plans, processes
-from planner.catalogue.issue_codes import CODES
+from planner import pipeline, plans
 from planner.catalogue.robots import data_dir
 from planner.cli import command_line
 from planner.cli.batch import Batch
 from planner.cli.batch import run_batch as batch
+from planner.issue_codes import CODES
 from planner.issues import Issue, Severity, TandemError, accepted, judged
+from planner.processes import registry
 from tests import small_forming
 
 FORCE = "forming.force"
@@ -33,7 +34,7 @@ def looked(path: Path) -> tuple[Issue, ...]:
     """What is found before motion."""
     problem = pipeline.load(path)
     try:
-        targets = pipeline.targets_of(problem, processes.jobs(problem))
+        targets = pipeline.targets_of(problem, registry.jobs(problem))
     except TandemError as error:
         return error.issues
     found = [issue for item in targets for issue in item.issues]

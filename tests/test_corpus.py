@@ -14,8 +14,8 @@ from bench import corpus
 from bench.corpus import airfoils, meshes, remedies, run, sheets, table
 from bench.corpus.job import PROBLEM, Job, make
 from planner import pipeline
-from planner.catalogue.issue_codes import CODES
 from planner.forming.operation import Mode
+from planner.issue_codes import CODES
 from planner.issues import TandemError
 
 NAMES = corpus.names()

@@ -140,7 +140,7 @@ def test_the_tables_are_those_of_the_code(name: str) -> None:
 
 
 def test_no_mapping_of_a_problem_file_is_left_out_of_the_reference() -> None:
-    from planner.processes import schemas
+    from planner.processes.registry import schemas
     from planner.reading.cell import CellFile
     from planner.reading.problem import ProblemFile
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import planner
-from planner import pipeline, processes
+from planner import pipeline
 from planner.catalogue import robots
+from planner.processes import registry
 
 FOLDER = robots.data_dir("problems") / "gauge_lanes"
 
@@ -28,7 +29,7 @@ def test_the_table_is_what_its_script_writes(tmp_path: Path, monkeypatch: pytest
 
 def test_every_pose_looks_at_the_vault_from_25_mm() -> None:
     """Against the cylinder itself: radius 300 mm about y, its ridge 80 mm above the stock's frame."""
-    made = processes.job(pipeline.load("gauge_lanes"), 0).targets()
+    made = registry.job(pipeline.load("gauge_lanes"), 0).targets()
     pose = made.pose["robot"]
     to_axis = np.array([0.0, 0.0, 0.080 - 0.300]) - pose[:, :3, 3] * [1.0, 0.0, 1.0]
     np.testing.assert_allclose(np.linalg.norm(to_axis, axis=1), 0.325, atol=1e-6)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planner.catalogue.issue_codes import CODES
+from planner.issue_codes import CODES
 from planner.issues import Issue, Severity, TandemError, aggregate, has_errors
 
 HERE = Path(__file__).parent

@@ -12,12 +12,12 @@ import pytest
 import yaml
 
 import planner
-from planner import processes
 from planner.batch.rows import figures
 from planner.cli.results import write_pages
 from planner.geometry.arrays import FloatArray
 from planner.issues import has_errors
 from planner.pipeline import Outcome, looked_over, plan, verify
+from planner.processes import registry
 from planner.report import cad_export, motion_file, scene
 from planner.report.output import cell_model
 from planner.verify.context import Context
@@ -88,7 +88,7 @@ def test_the_track_takes_its_time_in_proof_replay_and_report(tmp_path: Path) -> 
     ends = [0.0, *(outcome.plan.stations[i]["left"] for i in range(2)), 0.0]
     # by hand: at 250 mm/s from rest to rest, with ramps at 1 m/s2, home and back
     wanted = [abs(b - a) / 0.25 + 0.25 for a, b in itertools.pairwise(ends)]
-    context = Context(outcome.problem, processes.claims(outcome.problem), outcome.programs)
+    context = Context(outcome.problem, registry.claims(outcome.problem), outcome.programs)
     gaps = np.diff(context.motion.time)
     np.testing.assert_allclose(gaps[gaps > 1.0], wanted, atol=0.01)
     run = scene.track(outcome.problem, outcome.plan, 200)

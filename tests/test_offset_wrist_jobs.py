@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.issues import TandemError
+from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.prove import prove
 from planner.verify.replay import arm_model
@@ -92,7 +93,7 @@ def test_joints_slow_down_to_the_stop_behind_a_straight_move(tmp_path):
     assert made.proof.ok, [str(issue) for issue in made.proof.issues]
     (rule,) = [rule for rule in made.proof.rules if rule.code == "verify.joint_acceleration"]
     assert 60.0 < rule.worst < 91.0
-    motion = Context(made.problem, processes.claims(made.problem), made.programs).motion
+    motion = Context(made.problem, registry.claims(made.problem), made.programs).motion
     goes_on = motion.tcp["left"].place[motion.node_sample[-2] + 1]  # less than a sample behind the stop
     assert np.linalg.norm(goes_on - 1e-3 * np.array(SPARSE[-1][:3])) < 2e-7
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, plans, processes
+from planner import pipeline, plans
 from planner.claims import claim
 from planner.claims.vocabulary import Segment
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
+from planner.processes import registry
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
 from tests.verify.planner_jobs import JOBS
 
@@ -142,7 +143,7 @@ def test_every_value_comes_back_exactly(tmp_path: Path) -> None:
 )
 def test_claims_of_every_process_come_back(tmp_path: Path, name: str) -> None:
     """Those of small jobs of all kinds; files come back as their names."""
-    (own,) = processes.claims(pipeline.load(JOBS[name](tmp_path))).values()
+    (own,) = registry.claims(pipeline.load(JOBS[name](tmp_path))).values()
     plan = some_plan()
     (operation,) = plan.operations
     operation = dataclasses.replace(operation, targets=dataclasses.replace(operation.targets, claims=own))

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.issues import TandemError
+from planner.processes import registry
 from tests import small_problem
 
 RING = "{name: ring, process: ring, arms: [left], radius_mm: 40, height_mm: 300, feed_mm_s: 20}"
@@ -17,9 +18,9 @@ RING = "{name: ring, process: ring, arms: [left], radius_mm: 40, height_mm: 300,
 
 @pytest.fixture(autouse=True)
 def _found_anew() -> Iterator[None]:
-    processes.all_processes.cache_clear()
+    registry.all_processes.cache_clear()
     yield
-    processes.all_processes.cache_clear()
+    registry.all_processes.cache_clear()
 
 
 def install(path: pytest.MonkeyPatch, folder: Path, package: str, *points: str) -> None:
@@ -77,7 +78,7 @@ def test_what_cannot_be_used_is_refused_where_a_problem_names_it(
     install(monkeypatch, tmp_path, "broken-gauge", point)
     message = refused(problem(tmp_path))
     assert said in message and "package broken-gauge" in message and "uninstall" in message
-    assert "ring" not in processes.schemas()
+    assert "ring" not in registry.schemas()
     assert pipeline.load("gauge_lanes").name == "gauge_lanes"
 
 

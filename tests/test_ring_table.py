@@ -13,9 +13,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import planner
-from planner import processes
 from planner.cli.results import write_pages
 from planner.pipeline import plan, verify
+from planner.processes import registry
 from planner.report import scene
 from planner.verify.context import Context
 from tests import table_job
@@ -83,7 +83,7 @@ def test_report_and_files_show_the_block_where_it_stands(tmp_path: Path) -> None
 
 def test_the_table_takes_its_time_in_proof_and_replay() -> None:
     outcome = table_job.planned()
-    context = Context(outcome.problem, processes.claims(outcome.problem), outcome.programs)
+    context = Context(outcome.problem, registry.claims(outcome.problem), outcome.programs)
     gaps = np.diff(context.motion.time)
     np.testing.assert_allclose(gaps[gaps > 1.0], [6.0, 6.0], atol=0.01)  # 120 deg at 20 deg/s, there and back
     run = scene.track(outcome.problem, outcome.plan, 200)

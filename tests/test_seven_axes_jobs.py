@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, plans, processes
+from planner import pipeline, plans
 from planner.issues import TandemError, has_errors
 from planner.motion import axis_map, solve
 from planner.motion.planning_scene import Scene
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory import trajopt
+from planner.processes import registry
 from planner.reading.urdf import read_chain
 from planner.report import motion_file
 from planner.service import cell_view
@@ -56,7 +57,7 @@ def panel(folder):
 
 
 def planned(problem):
-    return solve.solve(problem, [job.targets() for job in processes.jobs(problem)])
+    return solve.solve(problem, [job.targets() for job in registry.jobs(problem)])
 
 
 def holds(problem, plan, text):

@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import planner
-from planner import processes
 from planner.cli.results import write_pages
 from planner.motion import stations
 from planner.pipeline import plan, verify
+from planner.processes import registry
 from planner.report import scene
 from planner.verify.context import Context
 from tests import positioner_job, table_job
@@ -49,7 +49,7 @@ def test_a_positioner_is_advised_for_a_kuka_arm_and_none_for_one_that_takes_none
     made = positioner_job.problem(
         tmp_path, None, obstacles=[{"name": "stand", "shapes": [stand]}], arms=(arm,)
     )
-    targets = [job.targets() for job in processes.jobs(made)]
+    targets = [job.targets() for job in registry.jobs(made)]
     advised = stations.advice(made, targets)
     assert "positioner: {centre_mm: [920, 10, 500], range_deg: [-180, 180], tilt: {" in advised
     cobot = dataclasses.replace(
@@ -84,7 +84,7 @@ def test_report_and_files_show_the_block_as_it_is_tilted(tmp_path: Path) -> None
 
 def test_both_axes_take_their_time_in_proof_and_replay() -> None:
     outcome = positioner_job.planned()
-    context = Context(outcome.problem, processes.claims(outcome.problem), outcome.programs)
+    context = Context(outcome.problem, registry.claims(outcome.problem), outcome.programs)
     run = scene.track(outcome.problem, outcome.plan, 200)
     gaps = np.diff(context.motion.time)
     assert run.travel == pytest.approx(gaps[gaps > 1.0].sum(), abs=0.05)  # 14.999 deg/s

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import exp_rotation, from_rpy, to_quaternion
 from planner.issues import TandemError, has_errors
 from planner.motion import solve
 from planner.motion.planning_scene import FULL_TURN, Scene
 from planner.post import write
+from planner.processes import registry
 from planner.report import setup_sheet
 from tests import small_problem, urdf_text
 from tests.refusals import change
@@ -76,7 +77,7 @@ def poses(turns=0.0, count=41):
 
 def planned(problem, plan=None):
     """The one operation of a plan, its TCP poses as targets and in the world by the maker's table."""
-    plan = plan or solve.solve(problem, [job.targets() for job in processes.jobs(problem)])
+    plan = plan or solve.solve(problem, [job.targets() for job in registry.jobs(problem)])
     (own,) = plan.operations
     (arm,) = own.q
     scene = Scene.of(problem.cell, (arm,), plan.places[0], problem.settings)
@@ -273,7 +274,7 @@ def test_two_ur_controllers_move_poses_together(tmp_path):
 def test_an_elastic_wire_between_two_ur_arms_is_refused_and_so_are_exchangeable_numbers(tmp_path):
     """No clock joins them, so one may be a step ahead; and nothing but numbers tells them apart."""
     problem = pipeline.load(planner_jobs.JOBS["handshake_ur"](tmp_path))
-    (targets,) = (job.targets() for job in processes.jobs(problem))
+    (targets,) = (job.targets() for job in registry.jobs(problem))
     joined = dataclasses.replace(targets, coupled=True)
     assert [issue.code for issue in write.refusals(problem, [joined])] == ["post.handshake_process"]
     assert write.refusals(problem, [targets]) == ()

@@ -163,7 +163,8 @@ def _strips(element: StripsElement, folder: Path | None) -> Made:
 def _judge(element: ElasticElement) -> Judge:
     """The check of a panel's problem as it will be written; what no template is for is told with its id at
     the end."""
-    from planner import pipeline, processes  # loads Drake
+    from planner import pipeline
+    from planner.processes import registry  # loads Drake
 
     whole = element.wanted.check == "all"
 
@@ -183,7 +184,7 @@ def _judge(element: ElasticElement) -> Judge:
                 if whole:
                     found += pipeline.check(problem, advise=False)
                 else:
-                    found += [issue for job in processes.jobs(problem) for issue in job.targets().issues]
+                    found += [issue for job in registry.jobs(problem) for issue in job.targets().issues]
             except TandemError as error:
                 found += error.issues
         return next((issue for issue in found if issue.severity is Severity.ERROR), None)

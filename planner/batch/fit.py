@@ -60,7 +60,7 @@ def _data(path: Path) -> Mapping[str, Any]:
 
 def _in_cell(problem: Problem, path: Path) -> Problem:
     """The problem in the cell of a file. Raises ``TandemError``."""
-    from planner import processes
+    from planner.processes import registry
     from planner.reading.problem import build
 
     strict_yaml.read(path)
@@ -73,7 +73,7 @@ def _in_cell(problem: Problem, path: Path) -> Problem:
         raise TandemError(Issue("batch.field", what, file=str(path), hint="try it in a cell of more arms"))
     names = dict(zip(theirs, [*own, *(f"{own[0]}_{k}" for k in range(len(own), len(theirs)))], strict=True))
     source = {**problem.source, "cell": _renamed(cell, names)}
-    return build(strict_yaml.Document(path, source, None, b"", file=False), processes.readers())
+    return build(strict_yaml.Document(path, source, None, b"", file=False), registry.readers())
 
 
 def _renamed(value: Any, names: Mapping[Any, str]) -> Any:

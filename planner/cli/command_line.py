@@ -507,7 +507,7 @@ def restore(request: tyro.conf.OmitArgPrefixes[service_commands.Restore]) -> int
 @app.command
 def issues() -> int:
     """List every issue code with its meaning, and what a problem may accept."""
-    from planner.catalogue.issue_codes import CODES
+    from planner.issue_codes import CODES
 
     table = Table("code", "meaning")
     for code, row in CODES.items():

@@ -180,10 +180,10 @@ def _write_shifts(
 def forming_job(problem: Problem, name: str | None) -> FormingJob:
     """The forming operation of a problem of that name, or the first. Raises ``TandemError``
     (forming.no_sheet) where there is none."""
-    from planner import processes
     from planner.forming.job import FormingJob
+    from planner.processes import registry
 
-    jobs = [job for job in processes.jobs(problem) if isinstance(job, FormingJob)]
+    jobs = [job for job in registry.jobs(problem) if isinstance(job, FormingJob)]
     chosen = [job for job in jobs if name in (None, job.operation.name)]
     if not chosen:
         have = ", ".join(job.operation.name for job in jobs) or "none"

@@ -173,15 +173,16 @@ def _deeper(folder: Path, plan: LoopPlan, number: int) -> tuple[str, FloatArray 
     """The springback file of a plan, and by how much (K,) [m] its tools go deeper by that at the places of a
     level; none where there is none. Raises `TandemError`: forming.loop_curves where the path of the curves is
     another, what files are refused for."""
-    from planner import pipeline, processes
+    from planner import pipeline
     from planner.forming.job import FormingJob
     from planner.forming.process_plan import lay_all
     from planner.forming.springback.levels import shifts
+    from planner.processes import registry
 
     whole = pipeline.load_result(folder)
     if all(getattr(one, "springback", None) is None for one in whole.operations):
         return "", None
-    for job in processes.jobs(whole):
+    for job in registry.jobs(whole):
         given = job.compensated() if isinstance(job, FormingJob) else None
         if given is None or not isinstance(job, FormingJob):
             continue

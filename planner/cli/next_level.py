@@ -39,10 +39,11 @@ def write_level(
     Raises ``TandemError``: ``forming.loop_law`` where nothing says at what shift the level before ended, what
     the level's operation or path is refused for, ``output.folder``.
     """
-    from planner import pipeline, processes
+    from planner import pipeline
     from planner.forming.job import FormingJob
     from planner.forming.level import alone, pass_of
     from planner.forming.springback import compensation_file, level_file
+    from planner.processes import registry
     from planner.reading.problem import build
 
     if path.suffix.lower() not in (".yaml", ".yml"):
@@ -61,8 +62,8 @@ def write_level(
     }
     begins = round(before_mm or 0.0, DECIMALS)
     place = _formed(problem, plan.name)
-    first = build(_document(problem, place, stated), processes.readers())
-    job = processes.job(first, place)
+    first = build(_document(problem, place, stated), registry.readers())
+    job = registry.job(first, place)
     if not isinstance(job, FormingJob) or job.operation.level is None:
         raise TypeError(f"{job} forms no level")
     work, level = (
@@ -87,7 +88,7 @@ def write_level(
         file = Path(folder) / "level.json"
         file.write_text(text, encoding="utf-8")
         stated |= {"file": str(file), "plan": problem.digest, "before_mm": begins}
-        return pipeline.save(build(_document(problem, place, stated), processes.readers()), path, True)
+        return pipeline.save(build(_document(problem, place, stated), registry.readers()), path, True)
 
 
 def require_free(path: Path, problem: Problem, section: str) -> None:

@@ -166,8 +166,9 @@ def _measured(
 
 def _write(request: Adjust, problem: Problem, operation: str, text: str, limits: Any) -> Path:
     """Write the problem with its file of adjustments and the scan."""
-    from planner import pipeline, processes
+    from planner import pipeline
     from planner.cli.next_level import require_free
+    from planner.processes import registry
     from planner.reading import strict_yaml
     from planner.reading.problem import build
 
@@ -188,7 +189,7 @@ def _write(request: Adjust, problem: Problem, operation: str, text: str, limits:
         ]
         # file names in what was read start where the process does
         document = strict_yaml.Document(Path(problem.path.name), source, None, b"", file=False)
-        return pipeline.save(build(document, processes.readers()), request.output, True)
+        return pipeline.save(build(document, registry.readers()), request.output, True)
 
 
 def _require_suffix(path: Path | None, allowed: Sequence[str], field: str) -> None:

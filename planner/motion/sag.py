@@ -19,8 +19,8 @@ import numpy as np
 from planner.catalogue.robots import JointStiffness, RobotData
 from planner.cell.compliance import PointLoad, given_way
 from planner.cell.kinematics import forward
+from planner.cell.sag import sags
 from planner.claims.claim import FEED_WAY, ArmSags
-from planner.claims.sag import sags
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
 from planner.geometry.units import GRAVITY, MM
 from planner.issues import Issue, Severity, TandemError

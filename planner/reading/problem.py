@@ -17,10 +17,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, model_validator
 
-from planner.catalogue.issue_codes import CODES
 from planner.catalogue.robots import bundled
 from planner.files import carried_name, each_file, is_file
 from planner.geometry.units import DEG, MM
+from planner.issue_codes import CODES
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
 from planner.reading import axes, controller, grip_choice, loads, materials, rails, strict_yaml

@@ -17,11 +17,11 @@ import yaml
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from planner import processes
 from planner.catalogue.materials import foams, sheet_metals, wire_materials
 from planner.catalogue.robots import data_dir, robot, robot_names
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue
+from planner.processes import registry
 from planner.reading import cell
 from planner.reading.loads import ForcesFile
 from planner.reading.problem import ProblemFile
@@ -103,11 +103,11 @@ IN_OPENAPI: Final = "#/components/schemas/{model}"
 @functools.cache
 def problem_schema(template: str = "#/$defs/{model}") -> tuple[dict[str, Any], dict[str, Any]]:
     """The schema of a problem file, and the definitions that it refers to by ``template``."""
-    models: list[type[BaseModel]] = [ProblemFile, SetupFile, ForcesFile, *processes.schemas().values()]
+    models: list[type[BaseModel]] = [ProblemFile, SetupFile, ForcesFile, *registry.schemas().values()]
     found, together = models_json_schema([(m, "validation") for m in models], ref_template=template)
     definitions: dict[str, Any] = together["$defs"]
     choices: list[dict[str, Any]] = []
-    for model in processes.schemas().values():
+    for model in registry.schemas().values():
         definition = definitions[_name(found[model, "validation"])]
         definition["properties"]["setup"] = dict(found[SetupFile, "validation"])
         stated = definitions[_name(found[ForcesFile, "validation"])]
@@ -126,7 +126,7 @@ def problem_file() -> dict[str, Any]:
 
 def process(name: str) -> dict[str, Any]:
     """The schema of one process's operation, by itself; raises :class:`RefusedError`, 404."""
-    known = processes.schemas()
+    known = registry.schemas()
     if name not in known:
         have = ", ".join(known)
         raise RefusedError(

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.cell import plant
 from planner.cell.bodies import link_chain
 from planner.cell.plant import CellModel
@@ -27,6 +27,7 @@ from planner.motion.search.subsampling import subset
 from planner.pipeline import Make
 from planner.plans import Plan
 from planner.problem import Problem, Setup
+from planner.processes import registry
 from planner.report import scene as scenes
 from planner.report.raster import part_meshes
 from planner.targets import Targets
@@ -114,7 +115,7 @@ class _Looked:
 def _looked(problem: Problem, operation: int, make: Make | None, most: int, brief: bool) -> _Looked:
     """As a first look has them, or with all targets of a plan if not ``brief``; raises ``TandemError`` where
     there are no targets or no place for axes."""
-    every = pipeline.targets_of(problem, processes.jobs(problem, brief=brief), make)
+    every = pipeline.targets_of(problem, registry.jobs(problem, brief=brief), make)
     problem, roomy = solve.with_room(problem, every)
     first = FirstLook(tuple(item.count for item in roomy), most)
     problem, roomy = stations.stationed(problem, roomy, first.passes)

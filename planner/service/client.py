@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from planner import pipeline, plans, spec
-from planner.catalogue.issue_codes import CODES
 from planner.files import PAGES, RESULT, write_folder
+from planner.issue_codes import CODES
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem

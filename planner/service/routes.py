@@ -25,8 +25,8 @@ from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBea
 from pydantic import AfterValidator, Field
 from sqlalchemy.exc import SQLAlchemyError
 
-from planner.catalogue.issue_codes import CODES
 from planner.files import RELEASE, THUMBNAIL
+from planner.issue_codes import CODES
 from planner.issues import Issue, has_errors
 from planner.runtime.version import __version__
 from planner.service import audit, finding, idempotency, metrics, releases
@@ -348,9 +348,9 @@ def figures(owner: Caller, here: Here) -> PlainTextResponse:
 def known_processes(owner: Caller) -> dict[str, str]:
     """What each one does, by the word that problem files use."""
     del owner
-    from planner import processes
+    from planner.processes import registry
 
-    return {name: " ".join((m.__doc__ or "").split()) for name, m in processes.schemas().items()}
+    return {name: " ".join((m.__doc__ or "").split()) for name, m in registry.schemas().items()}
 
 
 @about_router.get(

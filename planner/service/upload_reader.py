@@ -31,7 +31,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from planner import plans, processes
+from planner import plans
 from planner.batch.job import ELEMENT, PROBLEM
 from planner.element import element_file
 from planner.element.element_file import ElementFile
@@ -42,6 +42,7 @@ from planner.geometry.thinning import thinned
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
+from planner.processes import registry
 from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Document
@@ -206,7 +207,7 @@ def paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
         if operation.process != PROCESS:
             continue
         try:
-            targets = processes.job(problem, index).targets()
+            targets = registry.job(problem, index).targets()
         except TandemError as error:
             faults.extend(error.issues)
             continue
@@ -519,7 +520,7 @@ def _examined(
         faults = [*wrong, *faults]
         if faults:
             return Examined(uploaded.in_user_names([*faults, *_other_faults(document)]))
-        read = problem_file.build(document, processes.readers())
+        read = problem_file.build(document, registry.readers())
     except TandemError as error:
         return Examined(uploaded.in_user_names(error.issues))
     files = problem_file.bundle(read)
@@ -679,7 +680,7 @@ def examine_panels(folder: Path, files: Mapping[str, Path], panels: Sequence[str
 def _other_faults(document: Document) -> list[Issue]:
     """What else is wrong where files are missing."""
     try:
-        problem_file.build(document, processes.readers())
+        problem_file.build(document, registry.readers())
     except TandemError as error:
         return [issue for issue in error.issues if NOWHERE not in f"{issue.message} {issue.file}"]
     return []

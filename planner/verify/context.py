@@ -67,7 +67,7 @@ R_co = TypeVar("R_co", covariant=True)
 class Rule(Generic[P, R_co]):
     """A rule of the proof: the code of its issues, the kinds of claims that it proves, and the function
     that looks. What it asks is the first paragraph of its docstring; what to do where it is broken
-    stands with its code in ``catalogue/issue_codes.py``, what it needs in ``prove.py``, by its table."""
+    stands with its code in ``issue_codes.py``, what it needs in ``prove.py``, by its table."""
 
     code: str
     proves: tuple[type, ...]

@@ -14,7 +14,7 @@ import yaml
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.catalogue.robots import data_dir
 from planner.claims.claim import FeedWindow
 from planner.claims.vocabulary import Segment, clash, fold
@@ -22,6 +22,7 @@ from planner.issues import Severity, TandemError, given_wrong
 from planner.post import write
 from planner.post.krl.syntax import comment, mark
 from planner.post.rapid.syntax import procedure
+from planner.processes import registry
 from planner.verify import prove
 from planner.verify.krl.parser import marked_comment as marked
 from planner.verify.programs.program_text import segment_of_name
@@ -278,7 +279,7 @@ def test_two_setups_may_work_on_one_segment_each_by_its_own_claims(tmp_path: Pat
     problem = pipeline.load(_written(tmp_path, data))
     outcome = pipeline.plan(problem)
     assert outcome.verified, outcome.issues
-    claims = processes.claims(problem)
+    claims = registry.claims(problem)
     for name, own in claims.items():
         slow = [dataclasses.replace(c, upper=0.02) if isinstance(c, FeedWindow) else c for c in own]
         proof = prove.prove(problem, claims | {name: tuple(slow)}, outcome.programs)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from planner.catalogue.issue_codes import CODES
 from planner.cli import command_line
+from planner.issue_codes import CODES
 from planner.issues import Issue, TandemError
 
 BROKEN = "tandem: 1\nname: broken\nstock: {size_mm: [1, 2, -3]}\noperations: []\n"

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.cli import forming
 from planner.cli.forming import Springback, run_springback
 from planner.cli.loop import LawOptions, NextLoop, SimulateLoop, run_next_loop, run_simulate_loop
@@ -25,6 +25,7 @@ from planner.forming.springback.curves import Curve, Point
 from planner.issues import TandemError
 from planner.loops.loop_plan import read_plan
 from planner.loops.next_loop import springback
+from planner.processes import registry
 from tests import small_forming
 from tests.forming.springback import springback_files
 from tests.remedies.advice import said
@@ -111,7 +112,7 @@ def test_offsets_of_the_next_level_are_written_along_its_path(result: Path, tmp_
 
 
 def test_files_with_shifts_and_no_curves_are_told_in_one_message(result: Path, tmp_path: Path) -> None:
-    job = processes.job(pipeline.load(result / "problem" / "problem.yaml"), 0)
+    job = registry.job(pipeline.load(result / "problem" / "problem.yaml"), 0)
     assert isinstance(job, FormingJob)
     back = tmp_path / "back.json"
     back.write_text(springback_files.text_of(job))
@@ -334,7 +335,7 @@ def test_offsets_of_a_plan_with_a_springback_file_are_beyond_what_that_does(
     (folder / "problem").mkdir(parents=True)
     made = small_forming.problem(stepdown_mm=0.5, force_n=300)
     path = small_forming.write(folder / "problem", made)
-    (job,) = processes.jobs(pipeline.load(path))
+    (job,) = registry.jobs(pipeline.load(path))
     assert isinstance(job, FormingJob)
     (folder / "problem" / "back.json").write_text(springback_files.text_of(job))
     made["operations"][0]["springback"] = {"file": "back.json"}
@@ -373,10 +374,10 @@ def test_the_next_level_is_written_as_a_problem_of_its_own(result: Path, tmp_pat
     level = operation.level  # type: ignore[attr-defined]
     assert (level.number, level.pass_name, level.before_mm) == (4, "f1", 0.2)
     assert level.plan == pipeline.load_result(result).digest
-    job = processes.job(problem, 0)
+    job = registry.job(problem, 0)
     made = job.targets()
     assert "forming.compensated" in {issue.code for issue in made.issues}
-    whole = processes.job(pipeline.load_result(result), 0).targets()
+    whole = registry.job(pipeline.load_result(result), 0).targets()
     assert len(made.segment) < 0.4 * len(whole.segment)
     # the path of the level is that of the whole part, as much deeper as the file says
     data = json.loads(level.file.read_text())

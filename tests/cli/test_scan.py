@@ -15,12 +15,13 @@ import pytest
 import yaml
 
 import planner
-from planner import pipeline, processes
+from planner import pipeline
 from planner.cli.scan import Adjust, ScanFit, ScanOptions, run_adjust, run_scan_fit
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.issues import TandemError
 from planner.pipeline import Outcome
+from planner.processes import registry
 from planner.scan import cloud
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
@@ -114,9 +115,9 @@ def test_a_second_round_goes_on_from_the_first(outcome: Outcome, folder: Path, t
     options = ScanOptions(marks=write_marks(tmp_path / "marks.csv", rest))
     scan = write_ply(tmp_path / "part 2.ply", rest.points)
     run_adjust(Adjust(tmp_path / "out", scan, options, tmp_path / "third.yaml"))
-    (job,) = processes.jobs(planner.load(tmp_path / "third.yaml"))
+    (job,) = registry.jobs(planner.load(tmp_path / "third.yaml"))
     (way,) = job.compensated().ways
-    (before,) = processes.jobs(problem)[0].compensated().ways
+    (before,) = registry.jobs(problem)[0].compensated().ways
     assert 1.1 < way.shift.max() / before.shift.max() < 1.3
 
 
@@ -125,7 +126,7 @@ def test_a_second_round_goes_on_from_the_first(outcome: Outcome, folder: Path, t
 
 @pytest.fixture(scope="module")
 def context(outcome: Outcome) -> Context:
-    claims = {job.operation.name: job.claims() for job in processes.jobs(outcome.problem)}
+    claims = {job.operation.name: job.claims() for job in registry.jobs(outcome.problem)}
     return Context(outcome.problem, claims, outcome.programs)
 
 
@@ -195,7 +196,7 @@ def test_another_scan_is_found_though_its_digest_is_put_right(
     write_ply(scan, other.points)
     assert messages(context) == [f"dish: {scan.name}: its scan is another file than it was made from"]
     with pytest.raises(TandemError, match="was made from the scan"):
-        processes.jobs(planner.load(folder / "next" / "next.yaml"))[0].compensated()
+        registry.jobs(planner.load(folder / "next" / "next.yaml"))[0].compensated()
     digest = cloud.read(scan, MM).digest
     file.write_text(files.edited(file.read_text(), lambda data: data["scan"].update(sha256=digest)))
     assert any("how the scanned part was formed, make" in what for what in messages(context))
@@ -210,7 +211,7 @@ def test_an_adjustment_without_its_scan_is_refused(folder: Path, outcome: Outcom
     data["operations"][0]["springback"].pop("scan")
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(TandemError, match="name adjustments with their scan"):
-        processes.jobs(planner.load(path))[0].compensated()
+        registry.jobs(planner.load(path))[0].compensated()
 
 
 def test_a_scan_that_lies_beside_its_part_is_measured_with_a_warning_and_not_adjusted_by(

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.cli.batch import Batch, run_batch
 from planner.cli.element import ElementRequest, run_element
 from planner.element import elastic, element_file, output
 from planner.element.jobs import panel_files
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError, given_wrong, has_errors
+from planner.processes import registry
 from tests.element.walls import ROOT, element, wall
 
 
@@ -46,7 +47,7 @@ def advised(issue: Issue, pattern: str) -> float:
 
 def made(path: Path) -> None:
     """All that a panel's wire is to do, with every finding of the process itself."""
-    for job in processes.jobs(pipeline.load(path)):
+    for job in registry.jobs(pipeline.load(path)):
         assert not has_errors(job.targets().issues)
 
 

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, plans, processes
+from planner import pipeline, plans
 from planner.batch import run as batch
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
 from planner.element import element_file
 from planner.issues import TandemError
+from planner.processes import registry
 from tests.element.shells import cap, shell
 from tests.element.test_run_report import data_of
 from tests.element.walls import ROOT
@@ -179,7 +180,7 @@ def test_the_wire_comes_to_parts_that_lie_flat_from_above_and_leaves_upwards(out
                 continue
             seen.add((folder, axis))
             problem = pipeline.load(folder / "blocks" / f"{job['id']}.yaml")
-            (one,) = processes.jobs(problem)
+            (one,) = registry.jobs(problem)
             ends = one.targets().pose["robot"][[0, -1], 2, 3]
             assert (ends > problem.stock.size[2]).all(), job["id"]
     assert {axis for _, axis in seen} == {0, 1}

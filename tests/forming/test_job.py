@@ -13,7 +13,7 @@ import shapely
 import trimesh
 from scipy.spatial import Delaunay
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.claims.claim import Claim
 from planner.claims.forming import (
     FollowsOpposite,
@@ -34,6 +34,7 @@ from planner.geometry.arrays import Mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Severity, TandemError
 from planner.problem import Problem
+from planner.processes import registry
 from planner.reading.sheet import CLAMP_BARS
 from planner.targets import Targets
 from tests import small_forming
@@ -124,7 +125,7 @@ def centres(targets: Targets, arm: str, segment: str) -> np.ndarray:
 
 def refusal(found: Problem) -> dict[str, str]:
     with pytest.raises(TandemError) as caught:
-        processes.job(found, 0).targets()
+        registry.job(found, 0).targets()
     return {issue.code: f"{issue.message} {issue.hint}" for issue in caught.value.issues}
 
 
@@ -133,7 +134,7 @@ def laid(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     """A dish in every mode, or a gentle cone where only that can be formed."""
     part = gentle() if request.param == "adsif" else small_forming.dish()
     found = problem(tmp_path_factory.mktemp("mode"), request.param, part, **MODES[request.param][0])
-    return Laid(request.param, part, found, processes.job(found, 0).targets())
+    return Laid(request.param, part, found, registry.job(found, 0).targets())
 
 
 def test_targets_of_every_mode(laid: Laid) -> None:
@@ -157,7 +158,7 @@ def test_targets_of_every_mode(laid: Laid) -> None:
         FormingFeed,
         *kinds,
     }
-    assert same(targets.claims, processes.claims(found)["dish"])
+    assert same(targets.claims, registry.claims(found)["dish"])
 
 
 def test_tools_begin_and_end_off_the_sheet(laid: Laid) -> None:
@@ -178,7 +179,7 @@ def test_tools_begin_and_end_off_the_sheet(laid: Laid) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> None:
     found = problem(tmp_path, path=kind)
-    targets, made = processes.job(found, 0).targets(), made_of(found)
+    targets, made = registry.job(found, 0).targets(), made_of(found)
     (one,) = made.passes
     centre = centres(targets, "robot", "form/f1")
     mesh = trimesh.Trimesh(one.vertices, one.faces, process=False)
@@ -198,7 +199,7 @@ def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> N
 def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze: float) -> None:
     part = shapes.revolved([(0.045, 0.0), (0.03, 0.0), (0.012, -0.018), (0.0, -0.018)], 120)  # 45 deg
     found = problem(tmp_path, "dsif", upside_down(part) if up else part, squeeze=squeeze)
-    targets = processes.job(found, 0).targets()
+    targets = registry.job(found, 0).targets()
     left, right = (centres(targets, arm, "form/f1") for arm in ("left", "right"))
     gap = np.linalg.norm(left - right, axis=1) - 10.0 * MM
     former = right if up else left
@@ -215,7 +216,7 @@ def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_
     part = shapes.cone(45.0, 0.018, 0.03, 120)
     for shift in (20.0, 45.0):
         found = problem(tmp_path, "dpif_l", part, shift_deg=shift, stepdown_mm=3)
-        targets = processes.job(found, 0).targets()
+        targets = registry.job(found, 0).targets()
         left, right = (centres(targets, arm, "form/f1") for arm in ("left", "right"))
         line = (left - right) / np.linalg.norm(left - right, axis=1)[:, None]
         radius = np.linalg.norm(left[:, :2], axis=1)
@@ -233,7 +234,7 @@ def test_a_support_too_large_for_a_bend_is_told_with_the_largest_that_fits(tmp_p
     part = shapes.revolved(bent, 120)
     (told,) = {
         issue
-        for issue in processes.job(problem(tmp_path, "dsif", part), 0).targets().issues
+        for issue in registry.job(problem(tmp_path, "dsif", part), 0).targets().issues
         if issue.code == "forming.support_radius"
     }
     assert told.severity is Severity.WARNING
@@ -246,7 +247,7 @@ def test_a_step_deeper_than_the_part_is_refused_as_that(tmp_path: Path) -> None:
     assert list(told) == ["forming.path_options"]
     assert "stepdown_mm is 7, allowed is up to 6" in told["forming.path_options"]
     assert "a tenth of that, 0.6" in told["forming.path_options"]
-    assert processes.job(problem(tmp_path, "spif", part, stepdown_mm=0.6), 0).targets().count > 100
+    assert registry.job(problem(tmp_path, "spif", part, stepdown_mm=0.6), 0).targets().count > 100
 
 
 def test_a_ledge_that_no_step_in_height_forms_is_refused_and_scallop_forms_it(tmp_path: Path) -> None:
@@ -255,13 +256,13 @@ def test_a_ledge_that_no_step_in_height_forms_is_refused_and_scallop_forms_it(tm
     profile = [(46.0, 0.0), (38.0, 0.0), (34.0, -4.0), (19.0, low), (15.0, low - 4.0), (0.0, low - 4.0)]
     part = shapes.revolved([(r * MM, z * MM) for r, z in profile], 48)
     with pytest.raises(TandemError) as refused:
-        processes.job(problem(tmp_path, "spif", part, stepdown_mm=1.0), 0).targets()
+        registry.job(problem(tmp_path, "spif", part, stepdown_mm=1.0), 0).targets()
     (issue,) = (one for one in refused.value.issues if one.severity is Severity.ERROR)
     assert issue.code == "forming.path_options"
     assert issue.value is not None
     assert 30.0 < issue.value < 80.0
     assert "state scallop_mm: 0.01 in place of stepdown_mm" in str(issue.hint)
-    assert processes.job(problem(tmp_path, "spif", part, scallop_mm=0.01), 0).targets().count > 300
+    assert registry.job(problem(tmp_path, "spif", part, scallop_mm=0.01), 0).targets().count > 300
 
 
 def test_small_fillets_are_left_to_the_ball_where_the_stated_tolerance_allows_it(tmp_path: Path) -> None:
@@ -274,7 +275,7 @@ def test_small_fillets_are_left_to_the_ball_where_the_stated_tolerance_allows_it
     assert list(refusal(problem(tmp_path, "spif", part, unreached_mm=0.5 * float(named[1])))) == [
         "forming.unreached"
     ]
-    targets = processes.job(problem(tmp_path, "spif", part, unreached_mm=float(named[1])), 0).targets()
+    targets = registry.job(problem(tmp_path, "spif", part, unreached_mm=float(named[1])), 0).targets()
     assert not any(issue.severity is Severity.ERROR for issue in targets.issues)
     assert targets.pose["robot"][:, 2, 3].min() == pytest.approx(-0.006 + 0.001 + 0.006, abs=1e-4)
 
@@ -297,7 +298,7 @@ def test_a_support_on_the_border_never_comes_over_the_part(tmp_path: Path, outli
         data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK, radius_mm=8, shaft_radius_mm=6)
         radius = 8.0 * MM
     found = pipeline.load(small_forming.write(tmp_path, data, part))
-    targets, (one,) = processes.job(found, 0).targets(), made_of(found).passes
+    targets, (one,) = registry.job(found, 0).targets(), made_of(found).passes
     place = centres(targets, "right", "form/f1")
     region = shapely.Polygon(one.region[:, :2])
     inside = shapely.LineString(place[:, :2]).distance(region)
@@ -313,19 +314,19 @@ def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_pa
     data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK)
     found = pipeline.load(small_forming.write(tmp_path, data))
     with pytest.raises(TandemError) as caught:
-        processes.job(found, 0).targets()
+        registry.job(found, 0).targets()
     (issue,) = caught.value.issues
     border = np.linalg.norm(made_of(found).passes[0].region[:, :2], axis=1).max()
     assert (issue.code, issue.arm, issue.field) == ("forming.clamp", "right", "sheet.opening_mm")
     # the bars are chords of the opening's circle, and the support keeps 0.3 mm outside of its border
     assert issue.value == pytest.approx(border / MM + 40.3 - 60.0 * np.cos(np.pi / CLAMP_BARS), abs=0.05)
     data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 170}
-    processes.job(pipeline.load(small_forming.write(tmp_path, data)), 0).targets()
+    registry.job(pipeline.load(small_forming.write(tmp_path, data)), 0).targets()
 
 
 def test_ridges_are_as_high_as_stated(tmp_path: Path) -> None:
     found = problem(tmp_path, scallop_mm=0.05, chord_mm=0.005, path="contour")
-    targets, (one,) = processes.job(found, 0).targets(), made_of(found).passes
+    targets, (one,) = registry.job(found, 0).targets(), made_of(found).passes
     centre = centres(targets, "robot", "form/f1")
     share = np.linspace(0.0, 1.0, 10)[:, None, None]
     dense = ((1.0 - share) * centre[:-1] + share * centre[1:]).reshape(-1, 3)
@@ -355,7 +356,7 @@ def test_both_sides_in_one_program_swap_the_tools(tmp_path: Path) -> None:
     )
     part = facing_up(part)
     found = problem(tmp_path, "dsif", part)
-    targets, made = processes.job(found, 0).targets(), made_of(found)
+    targets, made = registry.job(found, 0).targets(), made_of(found)
     assert sorted(one.side for one in made.passes) == [-1, 1]
     for one in made.passes:
         (claim,) = [
@@ -373,7 +374,7 @@ def test_both_sides_in_one_program_swap_the_tools(tmp_path: Path) -> None:
 
 
 def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> None:
-    twice = processes.job(problem(tmp_path, repeats=2), 0).targets()
+    twice = registry.job(problem(tmp_path, repeats=2), 0).targets()
     assert [str(s) for s in dict.fromkeys(twice.segment) if s.works and not s.phase] == [
         "form/f1_p1",
         "form/f1_p2",
@@ -390,7 +391,7 @@ def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> No
 @pytest.mark.parametrize("mode", ["spif", "dsif"])
 def test_a_pit_of_four_facets_is_formed(tmp_path: Path, mode: str, kind: str) -> None:
     found = problem(tmp_path, mode, pyramid(10.0), path=kind)
-    targets = processes.job(found, 0).targets()
+    targets = registry.job(found, 0).targets()
     assert sum(segment.works for segment in targets.segment) > 100
 
 
@@ -418,7 +419,7 @@ def test_what_a_ball_does_not_reach_is_told_or_refused_by_the_users_figure(tmp_p
     """A pit of four facets that lean by the angle a: from its tip a ball stays R (1 / cos a - 1) off."""
     sharp = pyramid(10.0)
     found = problem(tmp_path, "spif", sharp)
-    told = [one for one in processes.job(found, 0).targets().issues if one.code == "forming.unreached"]
+    told = [one for one in registry.job(found, 0).targets().issues if one.code == "forming.unreached"]
     radius = found.cell.arms[0].tool.head.radius / MM
     off = float(radius * (np.hypot(1.0, 0.5) - 1.0))
     assert len(told) == 1
@@ -429,12 +430,12 @@ def test_what_a_ball_does_not_reach_is_told_or_refused_by_the_users_figure(tmp_p
     assert "unreached_mm allows" in refused
     # each remedy that it names
     allowed = float(re.findall(r"allow ([\d.]+) mm", refused)[-1])
-    assert processes.job(problem(tmp_path, "spif", sharp, unreached_mm=allowed), 0).targets()
+    assert registry.job(problem(tmp_path, "spif", sharp, unreached_mm=allowed), 0).targets()
     data = small_forming.problem("spif", unreached_mm=0.9 * off)
     data["cell"]["arms"][0]["tool"] |= {"radius_mm": 0.5 * radius, "shaft_radius_mm": 0.5 * radius}
-    assert processes.job(pipeline.load(small_forming.write(tmp_path, data, sharp)), 0).targets()
+    assert registry.job(pipeline.load(small_forming.write(tmp_path, data, sharp)), 0).targets()
     round_ = small_forming.dish(30.0, 6.0, 40.0, 1.1 * radius)
-    assert processes.job(problem(tmp_path, "spif", round_, unreached_mm=0.9 * off), 0).targets()
+    assert registry.job(problem(tmp_path, "spif", round_, unreached_mm=0.9 * off), 0).targets()
 
 
 def test_a_job_needs_a_sheet_and_a_part(tmp_path: Path) -> None:
@@ -447,12 +448,10 @@ def test_a_job_needs_a_sheet_and_a_part(tmp_path: Path) -> None:
 
 
 def test_the_force_is_held_against_the_payload(tmp_path: Path) -> None:
-    issues = processes.job(problem(tmp_path, force_n=2000), 0).targets().issues
+    issues = registry.job(problem(tmp_path, force_n=2000), 0).targets().issues
     (issue,) = [one for one in issues if one.code == "forming.force"]
     assert issue.severity is Severity.WARNING
     assert "2000 N" in issue.message
     assert not [
-        i
-        for i in processes.job(problem(tmp_path, force_n=5), 0).targets().issues
-        if i.code == "forming.force"
+        i for i in registry.job(problem(tmp_path, force_n=5), 0).targets().issues if i.code == "forming.force"
     ]

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 import shapely
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.forming import level as one_level
 from planner.forming.contact import ContactPath
 from planner.forming.job import FormingJob
 from planner.geometry.units import MM
 from planner.issues import TandemError
+from planner.processes import registry
 from tests import small_forming
 from tests.forming import shapes
 
@@ -24,7 +25,7 @@ def contact(folder: Path, number: int, **operation: Any) -> ContactPath:
     """The path of a level of a square pit of 60 mm, on whose sides targets are 20 mm apart."""
     data = small_forming.problem("spif", stepdown_mm=1.0, level={"number": number}, **operation)
     part = shapes.pit(shapely.box(-0.03, -0.03, 0.03, 0.03), 45.0, 0.010)
-    job = processes.job(pipeline.load(small_forming.write(folder, data, part)), 0)
+    job = registry.job(pipeline.load(small_forming.write(folder, data, part)), 0)
     assert isinstance(job, FormingJob)
     level = job.operation.level
     assert level is not None

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.claims.claim import Claim
 from planner.claims.forming import FormsInOrder, FormsPart, FormsSheet
 from planner.claims.trim import TrimsSheet
 from planner.claims.vocabulary import Segment
 from planner.motion import solve
 from planner.post import write as post
+from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.prove import Prover
@@ -39,8 +39,8 @@ class Staged:
 
     def __init__(self, folder: Any) -> None:
         self.problem = problem(folder, first={"features": [1], "stepdown_mm": 3})
-        self.jobs = processes.jobs(self.problem)
-        self.claims: Claims = processes.claims(self.problem, self.jobs)
+        self.jobs = registry.jobs(self.problem)
+        self.claims: Claims = registry.claims(self.problem, self.jobs)
 
     @cached_property
     def programs(self) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.cell.clearance import overlaps
 from planner.cell.plant import build
 from planner.forming.job import FormingJob
@@ -17,6 +17,7 @@ from planner.forming.process_plan import lay_all
 from planner.forming.stages import formed_sheet, hole_issues, shown
 from planner.issues import Issue, TandemError
 from planner.problem import Hole, Problem, Stock
+from planner.processes import registry
 from planner.trim.job import TrimJob
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
@@ -32,7 +33,7 @@ ACROSS = 1.0 / np.cos(np.deg2rad(15.0))
 
 def refused(folder: Path, index: int, **changes: Any) -> list[Issue]:
     with pytest.raises(TandemError) as error:
-        processes.job(problem(folder, **changes), index).targets()
+        registry.job(problem(folder, **changes), index).targets()
     return [one for one in error.value.issues if one.severity.name == "ERROR"]
 
 
@@ -42,7 +43,7 @@ def hole(x: float, diameter: float = 5.0, **more: Any) -> dict[str, Any]:
 
 def test_a_stage_leaves_the_sheet_with_its_features_alone(tmp_path: Path) -> None:
     read = problem(tmp_path)
-    first, second = (processes.job(read, k) for k in (0, 2))
+    first, second = (registry.job(read, k) for k in (0, 2))
     assert isinstance(first, FormingJob) and isinstance(second, FormingJob)
     made, then = first.planned, second.planned
     assert [one.name for one in made.passes] == ["f1"] and made.before == ()
@@ -56,7 +57,7 @@ def test_a_stage_leaves_the_sheet_with_its_features_alone(tmp_path: Path) -> Non
 
 
 def test_a_torch_between_two_stages_follows_the_sheet_as_it_is_then(tmp_path: Path) -> None:
-    job = processes.job(problem(tmp_path), 1)
+    job = registry.job(problem(tmp_path), 1)
     assert isinstance(job, TrimJob)
     top, low = job.face.at(np.array([[0.0, 0.0], [0.036, 0.0]]))[0][:, 2]
     assert top == pytest.approx((1.0 - DEPTHS[0]) * 1e-3, abs=1e-6)  # no sump yet; a sheet of 1 mm
@@ -71,7 +72,7 @@ def test_a_torch_before_all_forming_finds_a_flat_sheet(tmp_path: Path) -> None:
     ball = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
     whole["operations"] = [trim, {**form, "setup": {"tools": {"robot": ball}}}]
     assert torch["kind"] == "torch"
-    job = processes.job(pipeline.load(write(tmp_path, whole, part())), 0)
+    job = registry.job(pipeline.load(write(tmp_path, whole, part())), 0)
     assert isinstance(job, TrimJob)
     assert np.allclose(job.face.mesh.vertices[:, 2], 0.001, atol=1e-9)
 
@@ -101,7 +102,7 @@ def test_a_feature_that_nothing_forms_is_told(tmp_path: Path) -> None:
     ]
     whole["cell"]["arms"][0]["tool"] = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
     with pytest.raises(TandemError) as error:
-        processes.job(pipeline.load(write(tmp_path, whole, part())), 0).targets()
+        registry.job(pipeline.load(write(tmp_path, whole, part())), 0).targets()
     (issue,) = error.value.issues
     assert issue.code == "forming.features"
     assert issue.message == "dish: feature 2 is formed by no operation"
@@ -121,7 +122,7 @@ def test_what_stands_on_a_feature_is_not_formed_in_place_before_it(tmp_path: Pat
 
 def test_the_part_may_be_formed_from_the_inside_out_over_two_stages(tmp_path: Path) -> None:
     changes = {"first": {"features": [2], "strategy": "virgin"}, "second": {"features": [1]}}
-    first = processes.job(problem(tmp_path, **changes), 0)
+    first = registry.job(problem(tmp_path, **changes), 0)
     assert isinstance(first, FormingJob)
     (one,) = first.planned.passes
     assert one.start == pytest.approx(0.001, abs=1e-6)  # on the flat sheet of 1 mm, not on the dish's floor
@@ -156,7 +157,7 @@ def test_bodies_keep_clear_of_what_stands_out_before_the_part_is_finished(tmp_pa
         one for one in overlaps(build(setup.cell, setup.stock, np.eye(4))) if set(one[:2]) == {"bar", "stock"}
     ]
     assert pair[2] == pytest.approx(0.002, abs=2e-4)  # dome of 5 mm and sheet of 1 mm, less 4 mm
-    assert processes.job(found, 0).targets().arms == ("left", "right")
+    assert registry.job(found, 0).targets().arms == ("left", "right")
 
 
 @pytest.mark.parametrize("stages", [False, True])
@@ -175,7 +176,7 @@ def test_the_proof_finds_states_that_bodies_do_not_keep_clear_of(tmp_path: Path,
 def stands_out(found: Problem) -> list[str]:
     """What the proof says, of claims alone, of the part that is formed."""
     forming = Forming.__new__(Forming)  # of a text there is no need
-    forming.context = Context(found, processes.claims(found), {})
+    forming.context = Context(found, registry.claims(found), {})
     return [issue.message for issue in forming_part(forming.context, forming).issues]
 
 
@@ -200,7 +201,7 @@ def test_holes_that_forming_would_move_or_tear_are_refused_with_the_distance(
 
 
 def test_tools_keep_off_holes_with_their_own_radius(tmp_path: Path) -> None:
-    job = processes.job(problem(tmp_path, hole=hole(28.0)), 2)
+    job = registry.job(problem(tmp_path, hole=hole(28.0)), 2)
     assert isinstance(job, FormingJob)
     holes = job.planned.sheet.holes
     ((one, path),) = lay_all(job.planned)
@@ -216,10 +217,8 @@ def test_tools_keep_off_holes_with_their_own_radius(tmp_path: Path) -> None:
 
 
 def test_a_smaller_margin_and_a_hole_farther_away_help(tmp_path: Path) -> None:
-    assert (
-        processes.job(problem(tmp_path, hole=hole(22.0), second={"hole_margin_mm": 2.8}), 2).targets().count
-    )
-    told = processes.job(problem(tmp_path), 2).targets().issues
+    assert registry.job(problem(tmp_path, hole=hole(22.0), second={"hole_margin_mm": 2.8}), 2).targets().count
+    told = registry.job(problem(tmp_path), 2).targets().issues
     (note,) = [one for one in told if one.code == "forming.springback"]
     assert "not foretold" in note.message
 
@@ -242,7 +241,7 @@ def test_a_sheet_that_was_cut_is_not_formed_over_a_die(tmp_path: Path, kind: str
     whole["sheet"] |= {"opening_mm": 150, "size_mm": [200, 200]}
     whole["accept"] = ["forming.force", "forming.die_far"]
     with pytest.raises(TandemError) as error:
-        processes.job(pipeline.load(write(tmp_path, whole, mesh)), 1).targets()
+        registry.job(pipeline.load(write(tmp_path, whole, mesh)), 1).targets()
     (issue,) = [one for one in error.value.issues if one.code == "forming.holes"]
     assert issue.message == "the sheet was cut along hole before; in tpif all of it moves against the die"
     assert issue.hint == "form it before it is cut, or take another mode"
@@ -259,9 +258,9 @@ def two(folder: Path, first: dict[str, Any], second: dict[str, Any]) -> Problem:
 def test_levels_of_a_pass_may_be_operations_of_one_problem(tmp_path: Path) -> None:
     whole = two(tmp_path, {"level": {"number": 0}}, {"level": {"number": 1}, "setup": {"note": "scanned"}})
     for k in (0, 1):
-        assert processes.job(whole, k).targets().count
+        assert registry.job(whole, k).targets().count
     with pytest.raises(TandemError, match="formed by"):
-        processes.job(two(tmp_path, {}, {"level": {"number": 1}}), 1).targets()
+        registry.job(two(tmp_path, {}, {"level": {"number": 1}}), 1).targets()
 
 
 def test_a_sheet_that_is_clamped_anew_does_not_stay_clamped(tmp_path: Path) -> None:
@@ -289,7 +288,7 @@ def test_an_operation_of_another_process_is_no_stage(tmp_path: Path) -> None:
     whole = problem(tmp_path)
     dish_first, _, sump = whole.operations
     ops = (dish_first, Marks("marks", "marks", ("robot",)), sump)
-    assert processes.job(dataclasses.replace(whole, operations=ops), 0).targets().count
+    assert registry.job(dataclasses.replace(whole, operations=ops), 0).targets().count
 
 
 @pytest.mark.parametrize("inside", [True, False])
@@ -345,5 +344,5 @@ def test_operations_of_one_setup_find_what_was_cut_in_it(tmp_path: Path) -> None
     whole["operations"] = [trim, form]
     read = pipeline.load(write(tmp_path, whole, part()))
     assert len(read.setups) == 1
-    found = processes.job(read, 1).setup.stock.sheet
+    found = registry.job(read, 1).setup.stock.sheet
     assert found is not None and [one.name for one in found.holes] == ["hole"]

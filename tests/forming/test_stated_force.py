@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.claims.forming import FormsSheet
 from planner.forming.check import check
 from planner.forming.job import FormingJob
 from planner.forming.process_plan import lay_all
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.processes import registry
 from planner.verify.forming import stated_force
 from tests import small_forming
 from tests.forming import shapes
@@ -42,7 +43,7 @@ def load(folder: Path, mode: str = "spif", text: str = "", **op: Any) -> Forming
         (folder / "forces.csv").write_text(text)
         op["force_by"] = {"file": "forces.csv"}
     path = small_forming.write(folder, small_forming.problem(mode, **op))
-    (made,) = processes.jobs(pipeline.load(path))
+    (made,) = registry.jobs(pipeline.load(path))
     assert isinstance(made, FormingJob)
     return made
 
@@ -126,7 +127,7 @@ def test_of_several_passes_each_has_rows_of_its_own(tmp_path: Path) -> None:
         data = small_forming.problem("spif", passes=[45], force_by={"file": "forces.csv"})
         data["sheet"] |= {"metal": "aa5754_o"}
         path = small_forming.write(tmp_path, data, shapes.cone(60.0, 0.012, 0.030, 96))
-        (made,) = processes.jobs(pipeline.load(path))
+        (made,) = registry.jobs(pipeline.load(path))
         assert isinstance(made, FormingJob)
         return made
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.forming import job as forming
 from planner.forming import two_point
 from planner.forming.operation import Die, Forming, die_mesh, with_die
@@ -22,6 +22,7 @@ from planner.issues import TandemError
 from planner.motion import solve
 from planner.post import write
 from planner.problem import Problem
+from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
 from tests import line_ends
@@ -56,13 +57,13 @@ def made(one: Forming) -> Work:
 @functools.cache
 def programs() -> dict[str, str]:
     problem = coarse()
-    targets = [processes.job(problem, 0).targets()]
+    targets = [registry.job(problem, 0).targets()]
     return line_ends.bare(write.programs(solve.solve(problem, targets, lambda *_: None), problem))
 
 
 @functools.cache
 def prover() -> Prover:
-    return Prover(coarse(), processes.claims(coarse()))
+    return Prover(coarse(), registry.claims(coarse()))
 
 
 def proven(texts: dict[str, str], last: str | None = "verify.holder") -> Proof:
@@ -131,7 +132,7 @@ def test_faults_of_the_signal_are_found(fault: str) -> None:
 
 
 def test_a_tool_that_goes_ahead_of_the_clamp_is_found() -> None:
-    claims = processes.claims(coarse())
+    claims = registry.claims(coarse())
     sooner = tuple(
         dataclasses.replace(claim, step=2.4e-3) if type(claim).__name__ == "SinksHolder" else claim
         for claim in claims["dome"]

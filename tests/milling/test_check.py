@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.issues import Issue, Severity, TandemError
 from planner.milling.operation import Milling
 from planner.motion import solve
+from planner.processes import registry
 from planner.tooling import Mill
 from tests.milling.small_mill import BALL, PANEL, WALL, problem
 
@@ -24,7 +25,7 @@ def issues(
     """Issues of making the targets."""
     try:
         read = problem(folder, base, tool, **fields)
-        return list(processes.job(read, 0).targets().issues)
+        return list(registry.job(read, 0).targets().issues)
     except TandemError as error:
         return list(error.issues)
 
@@ -193,7 +194,7 @@ def test_a_spindle_that_hits_its_own_arm_is_named(tmp_path: Path) -> None:
     arm["tool"] = {**arm["tool"], "tilt_deg": 100, "spindle_length_mm": 1500, "mass_kg": 20}
     read = problem(tmp_path, {**WALL, "cell": {**WALL["cell"], "arms": [arm]}})
     with pytest.raises(TandemError) as caught:
-        solve.solve(read, [processes.job(read, 0).targets()])
+        solve.solve(read, [registry.job(read, 0).targets()])
     found = only(list(caught.value.issues), "motion.home")
     assert "robot/tool" in found.message
 
@@ -239,8 +240,6 @@ def test_guides_that_run_against_each_other_are_told_and_give_the_same_job(tmp_p
     assert (note.code, note.severity) == ("part.guide_turned", Severity.NOTE)
     assert note.field == "part.ruled.0.end"
     assert "wall" in note.message and "turn its points around" in note.message
-    wanted, got = (
-        processes.job(problem(tmp_path, WALL, part=p), 0).targets() for p in (WALL["part"], turned)
-    )
+    wanted, got = (registry.job(problem(tmp_path, WALL, part=p), 0).targets() for p in (WALL["part"], turned))
     np.testing.assert_allclose(got.pose["robot"], wanted.pose["robot"], atol=1e-7)
     assert not [one for one in pipeline.check(problem(tmp_path, WALL)) if "guide" in one.message]

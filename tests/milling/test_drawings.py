@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.issues import TandemError
 from planner.milling import point_cut
 from planner.milling.operation import EngraveCut
+from planner.processes import registry
 from planner.reading import problem as problem_file
 from planner.reading import rhino
 from planner.verify.milling.wanted_ways import each_curve
@@ -96,7 +97,7 @@ def test_a_layer_of_a_rhino_file_is_engraved_and_proven(
     assert sum(content == (tmp_path / "pattern.3dm").read_bytes() for content in copy.values()) == 1
     outcome = pipeline.plan(problem)
     assert outcome.proof.ok, [str(issue) for issue in outcome.proof.issues]
-    names = {s.name for s in processes.job(problem, 0).targets().segment if s.kind == "mill"}
+    names = {s.name for s in registry.job(problem, 0).targets().segment if s.kind == "mill"}
     assert names == {"pattern_c1", "pattern_c2"}
     read = rhino.curves
 

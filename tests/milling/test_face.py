@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.claims.milling import MillsSurface
 from planner.geometry.arrays import Mesh
 from planner.milling import cutter_contact as milling_face
 from planner.milling.process_plan import work
+from planner.processes import registry
 from tests.milling.small_mill import BALL, PANEL, problem
 from tests.verify.milling_job import Job
 
@@ -54,7 +54,7 @@ def test_a_margin_that_leaves_nothing() -> None:
 def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:
     cut = {"lines": "front", "stepover_mm": 2, "margin_mm": 12, "angle_deg": 30}
     made = problem(tmp_path, PANEL, BALL, cuts=[cut])
-    (claim,) = [c for c in processes.claims(made)["mill"] if isinstance(c, MillsSurface)]
+    (claim,) = [c for c in registry.claims(made)["mill"] if isinstance(c, MillsSurface)]
     assert made.part is not None and made.part.front is not None
     edge = made.part.front.vertices[:, :2]
     low, high = edge.min(axis=0), edge.max(axis=0)
@@ -65,7 +65,7 @@ def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:
     own = face.mesh.vertices[:, :2]
     assert (own.min(axis=0) - low >= 12e-3 - 1e-9).all() and (high - own.max(axis=0) >= 12e-3 - 1e-9).all()
     assert (own.min(axis=0) - low <= 14e-3).all()
-    targets = processes.job(made, 0).targets()
+    targets = registry.job(made, 0).targets()
     on = np.array([str(s) == "mill/front_lines" for s in targets.segment])
     tips = targets.pose["robot"][on][:, :2, 3]
     assert (tips.min(axis=0) - low).min() > 11e-3

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.claims.milling import SparesPart
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.milling import check
+from planner.processes import registry
 from planner.tooling import Cutter
 from planner.verify.milling import tool_motion
 from planner.verify.milling.tool_motion import edges, near_places, rim_size, rim_step
@@ -132,7 +132,7 @@ def test_what_a_proof_says_of_a_panel_is_what_booleans_leave_of_it(tmp_path: Pat
     job = Job(tmp_path, PANEL, BALL, cuts=[cut], shape_tol_mm=0.6)
     proof = job.prove(job.programs, last=None)
     (face,) = proof.surfaces
-    targets = processes.job(job.problem, 0).targets()
+    targets = registry.job(job.problem, 0).targets()
     rows = np.flatnonzero(np.array(targets.segment) == Segment("mill", "front_lines"))
     pose = targets.pose["robot"][np.append(rows[0] - 1, rows)]
     solid = swept(shell(0.003, 0.003, 0.012, 64, 24), pose[:, :3, 3], -pose[:, :3, 2])
@@ -155,7 +155,7 @@ def test_what_a_proof_says_of_a_twisted_wall_is_what_booleans_leave_of_it(tmp_pa
         for face in job.prove(job.programs, last=None).surfaces
         if face.segment == Segment.read("mill/wall")
     )
-    targets = processes.job(job.problem, 0).targets()
+    targets = registry.job(job.problem, 0).targets()
     rows = np.flatnonzero([(s.kind, s.name) == ("mill", "wall") for s in targets.segment])[1:-1]
     pose = targets.pose["robot"][rows]
     solid = swept(shell(0.006, 0.0, 0.05, 128), *fine(pose[:, :3, 3], -pose[:, :3, 2], 12))

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.claims.vocabulary import Segment
 from planner.milling.operation import Milling
 from planner.milling.tool_path import LEAST_PLUNGE, Run, lay_out, plain_path
+from planner.processes import registry
 from tests.milling.small_mill import BALL, PANEL, WALL, problem
 
 LINE = [{"polyline_mm": [[-30, 0, 0], [30, 0, 0]]}]
@@ -35,13 +35,13 @@ def test_a_tool_always_comes_down_to_a_pass_and_rises_from_it(height: float) -> 
 
 
 def test_the_report_names_feeds_and_leaves_out_what_no_pass_has(tmp_path: Path) -> None:
-    wall = processes.job(problem(tmp_path, WALL), 0).targets().exhibits
+    wall = registry.job(problem(tmp_path, WALL), 0).targets().exhibits
     assert "cutter off the surface [mm]" in wall["cuts"]["columns"]
     cuts = [
         {"lines": "front", "stepover_mm": 10, "feed_mm_s": 60, "shape_tol_mm": 8},
         {"engrave": LINE, "depth_mm": 0.5},
     ]
-    face = processes.job(problem(tmp_path, PANEL, BALL, cuts=cuts, share=0.6), 0).targets().exhibits
+    face = registry.job(problem(tmp_path, PANEL, BALL, cuts=cuts, share=0.6), 0).targets().exhibits
     assert "cutter off the surface [mm]" not in face["cuts"]["columns"]
     assert all(len(row) == len(face["cuts"]["columns"]) for row in face["cuts"]["rows"])
     assert ("feed", "30 to 60", "mm/s") in face["setup"]["items"]

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.motion import axis_map, solve
 from planner.motion.axis_map import COLLISION, FREE, JOINT_LIMIT, NO_REACH, SINGULAR
 from planner.motion.planning_scene import Scene
+from planner.processes import registry
 from planner.report import scene as pictures
 from planner.targets import ScrewFreedom, Targets
 from tests import small_problem
@@ -25,7 +26,7 @@ ROWS = [f"0,{y},500,0.5,-0.5,0.5,0.5,20" for y in range(-50, 51, 20)]
 def standing(folder: Path, text: str = IN_STOCK, rows: list[str] | None = None) -> tuple[Scene, Targets]:
     """The small problem's scene and targets, to which a whole turn about the tool is given."""
     problem = small(folder, text, rows or ROWS)
-    problem, (targets,) = solve.with_room(problem, pipeline.targets_of(problem, processes.jobs(problem)))
+    problem, (targets,) = solve.with_room(problem, pipeline.targets_of(problem, registry.jobs(problem)))
     (stand,) = solve.setup_groups(problem, [targets])
     (model,) = stand.models()
     turn = np.full(targets.count, np.pi)
@@ -129,7 +130,7 @@ def test_it_is_bounded_by_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_postures_of_targets_are_those_of_the_first_look(tmp_path: Path) -> None:
     rows = [*small_problem.ROWS[:3], FAR]
     problem = small(tmp_path, small_problem.PROBLEM, rows)
-    (targets,) = pipeline.targets_of(problem, processes.jobs(problem))
+    (targets,) = pipeline.targets_of(problem, registry.jobs(problem))
     (stand,) = solve.setup_groups(problem, [targets])
     scene = Scene.of(stand.setups[0].cell, ("left",), stand.place, problem.settings, stand.models()[0])
     *good, bad = axis_map.postures(scene, targets, np.arange(4))

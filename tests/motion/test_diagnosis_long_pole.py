@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import planner
-from planner import processes
 from planner.issues import TandemError
 from planner.motion.solve import solve
 from planner.problem import Problem
+from planner.processes import registry
 from planner.reading import problem as problem_file
 
 FILE = Path(__file__).parents[2] / "problems" / "shell_piece_held" / "long_pole.yaml"
@@ -24,7 +24,7 @@ def turning_only(folder: Path, seed: int) -> Problem:
     cells = FILE.parents[1] / "cells"
     copy = folder / "turning.yaml"
     copy.write_text(text.replace("../cells", cells.as_posix()), "utf-8")
-    problem = problem_file.read(copy, processes.schemas())
+    problem = problem_file.read(copy, registry.schemas())
     assert problem.stock.place is None, "the place is searched"
     return dataclasses.replace(problem, settings=dataclasses.replace(problem.settings, seed=seed))
 
@@ -32,7 +32,7 @@ def turning_only(folder: Path, seed: int) -> Problem:
 @pytest.mark.parametrize("seed", range(3))
 def test_turning_axis_6_alone_has_no_place(tmp_path: Path, seed: int) -> None:
     problem = turning_only(tmp_path, seed)
-    targets = processes.job(problem, 0).targets()
+    targets = registry.job(problem, 0).targets()
     assert [f.name for f in targets.freedoms] == ["spin", "slide", "block_turn"]
     with pytest.raises(TandemError) as caught:
         solve(problem, [targets])

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.issues import has_errors
 from planner.motion import first_look
 from planner.motion.first_look import FirstLook
 from planner.problem import Problem
+from planner.processes import registry
 from planner.reading import strict_yaml
 from planner.runtime.memoize import use_cache
 from planner.service.kept_files import KeptFiles
@@ -199,12 +200,12 @@ def test_processes_make_the_same_targets_whatever_they_do_not_see(name: str, tmp
     second.write_text(strict_yaml.dump(data))
     one, other = pipeline.load(first), pipeline.load(second)
     assert one.digest != other.digest and seen_alike(one) == seen_alike(other)
-    for index, (a, b) in enumerate(zip(processes.jobs(one), processes.jobs(other), strict=True)):
+    for index, (a, b) in enumerate(zip(registry.jobs(one), registry.jobs(other), strict=True)):
         made = maker(KeptFiles(tmp_path / "kept"), one, alike=True)(index, a)
         kept = maker(KeptFiles(tmp_path / "kept"), other, alike=True)(index, no_job)
         alike(kept, made)
         alike(kept, b.targets())
-        few = processes.job(other, index, brief=True).targets()
+        few = registry.job(other, index, brief=True).targets()
         assert few.thinned == (name == "dish")
         if not few.thinned:  # what a first look does not judge shapes none
             alike(few, made)
@@ -227,7 +228,7 @@ def test_fewer_loops_of_a_formed_sheet_are_as_true_as_all_and_kept_for_first_loo
     tmp_path: Path,
 ) -> None:
     problem = pipeline.load(small_forming.write(tmp_path, small_forming.problem()))
-    few, whole = (processes.job(problem, 0, brief=brief).targets() for brief in (True, False))
+    few, whole = (registry.job(problem, 0, brief=brief).targets() for brief in (True, False))
     assert few.thinned and not whole.thinned and 2 * few.count < whole.count
     works = [np.array([one.works for one in item.segment]) for item in (few, whole)]
     at, way = (item.pose["robot"][rows][:, :3, 3] for item, rows in zip((few, whole), works, strict=True))
@@ -235,13 +236,13 @@ def test_fewer_loops_of_a_formed_sheet_are_as_true_as_all_and_kept_for_first_loo
     off = cKDTree(densified(way, 0.1 * step)).query(at)[0]
     assert off.max() < 1.1 * step  # between two of its loops
     assert np.ptp(at[:, 2]) == pytest.approx(np.ptp(way[:, 2]), abs=1e-6)
-    brief = processes.job(problem, 0, brief=True)
+    brief = registry.job(problem, 0, brief=True)
     first = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, brief)
     alike(
-        maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0, brief=True)),
+        maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, registry.job(problem, 0, brief=True)),
         first,
     )
-    made = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, processes.job(problem, 0))
+    made = maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, registry.job(problem, 0))
     assert not made.thinned  # as where a plan is drawn beside them
     alike(
         maker(KeptFiles(tmp_path / "kept"), problem, alike=True)(0, brief), made
@@ -266,10 +267,10 @@ def test_what_is_kept_of_a_mesh_is_never_that_of_another_edit(tmp_path: Path) ->
         path = small_forming.write(folder, one, mesh)
         with use_cache(kept):
             problem = pipeline.load(path)
-            few, whole = (processes.job(problem, 0, brief=brief).targets() for brief in (True, False))
+            few, whole = (registry.job(problem, 0, brief=brief).targets() for brief in (True, False))
         fresh = pipeline.load(path)
-        alike(few, processes.job(fresh, 0, brief=True).targets())
-        alike(whole, processes.job(fresh, 0).targets())
+        alike(few, registry.job(fresh, 0, brief=True).targets())
+        alike(whole, registry.job(fresh, 0).targets())
         assert few.thinned and not whole.thinned
         own, other = (item.found_by(0).stock.sheet.formed for item in (problem, fresh))  # type: ignore[union-attr]
         for a, b in zip(own, other, strict=True):

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import planner
-from planner import processes
 from planner.cell import clearance, plant
 from planner.issues import TandemError
 from planner.motion import following, stations
 from planner.motion.former import Former
 from planner.pipeline import targets_of
 from planner.problem import LinearAxis
+from planner.processes import registry
 from planner.targets import ScrewFreedom
 from tests import following_job
 
@@ -137,7 +137,7 @@ def test_the_floor_is_not_lower_for_a_track_that_falls(tmp_path: Path) -> None:
 
 def test_tools_that_may_slide_along_the_track_are_refused(tmp_path: Path) -> None:
     problem = following_job.problem(tmp_path)
-    targets = targets_of(problem, processes.jobs(problem))
+    targets = targets_of(problem, registry.jobs(problem))
     width = np.full(targets[0].count, 0.05)
     pose = targets[0].pose["left"][:, :3, :3]
     along = np.concatenate([np.zeros(3), pose[0].T @ RAIL.axis])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.catalogue.robots import robot
 from planner.cell.compliance import tcp_compliance
 from planner.cell.kinematics import forward
@@ -22,6 +22,7 @@ from planner.issues import Issue, TandemError
 from planner.motion import sag, solve
 from planner.plans import Plan
 from planner.problem import Problem
+from planner.processes import registry
 from planner.report import markup
 from planner.report.setup_sheet import controller_checks
 from planner.verify.replay import bending
@@ -31,7 +32,7 @@ from tests.verify.planner_jobs import DEEPER, JOBS, SOFT, sagging
 def planned(path: Path) -> tuple[Problem, Plan]:
     """A job and its plan, without programs."""
     problem = pipeline.load(path)
-    return problem, solve.solve(problem, [job.targets() for job in processes.jobs(problem)])
+    return problem, solve.solve(problem, [job.targets() for job in registry.jobs(problem)])
 
 
 def edited(path: Path, **arm: Any) -> Path:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.geometry.arrays import inverse, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Problem
+from planner.processes import registry
 from planner.reading import grip_choice
 from planner.report import setup_sheet
 
@@ -88,7 +89,7 @@ def load(folder: Path, given: dict[str, Any]) -> Problem:
 def errors(problem: Problem) -> list[Issue]:
     """What is said before any place is searched: the choice is made, or refused, with the targets."""
     try:
-        found = [issue for job in processes.jobs(problem) for issue in job.targets().issues]
+        found = [issue for job in registry.jobs(problem) for issue in job.targets().issues]
     except TandemError as error:
         found = list(error.issues)
     return [issue for issue in found if issue.severity is Severity.ERROR]

@@ -10,13 +10,14 @@ from typing import Any, Final
 import trimesh
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.catalogue.materials import foam
 from planner.hotwire import wire
 from planner.hotwire.kerf import calibration
 from planner.hotwire.kerf import width as kerf_width
 from planner.issues import Issue, TandemError
 from planner.post import write as post
+from planner.processes import registry
 from tests import small_forming, small_problem
 from tests.reading import test_grip_choice as test_gripping
 from tests.reading.part_specs import SQUARE, WING, outline
@@ -81,7 +82,7 @@ def lay(folder: Path, data: Any) -> list[Issue]:
 
     def work() -> Iterable[Issue]:
         problem = pipeline.load(write(folder, data))
-        targets = pipeline.targets_of(problem, processes.jobs(problem))
+        targets = pipeline.targets_of(problem, registry.jobs(problem))
         told = [
             *pipeline._notes(problem),
             *pipeline._stands(problem),

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.motion import ways
@@ -20,6 +20,7 @@ from planner.motion.solve import check as check_motion
 from planner.motion.solve import solve
 from planner.motion.trajectory import move_limits
 from planner.problem import Settings
+from planner.processes import registry
 from tests import small_problem
 from tests.motion.scenes import HIGH, arc_wire, box, pair, problem, s_curve, two_arms
 from tests.refusals import POSES, change
@@ -45,7 +46,7 @@ def solved(folder: Path, data: Any) -> list[Issue]:
 
     def work() -> list[Issue]:
         job = pipeline.load(write(folder, data))
-        plan = solve(job, pipeline.targets_of(job, processes.jobs(job)))
+        plan = solve(job, pipeline.targets_of(job, registry.jobs(job)))
         return [issue for one in plan.operations for issue in one.issues]
 
     return found(work)

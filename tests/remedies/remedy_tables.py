@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from planner.catalogue.issue_codes import CODES
+from planner.issue_codes import CODES
 
 ELSEWHERE: Final = {
     "part.step": (

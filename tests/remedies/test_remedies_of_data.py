@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from planner.catalogue.issue_codes import CODES
+from planner.issue_codes import CODES
 from planner.issues import Issue, Severity
 from tests.reading.part_specs import WING, circle, guides, outline
 from tests.refusals import change

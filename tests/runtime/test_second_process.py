@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner import processes as registry
 from planner.issues import Issue, TandemError
 from planner.motion import solve
 from planner.pipeline import WARM_UP
+from planner.processes import registry
 from planner.report import output
 from planner.runtime.executor import SerialExecutor
 from planner.runtime.second_process import SMALL_BYTES, SecondProcess, open_executor

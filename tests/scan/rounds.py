@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from scipy.interpolate import RegularGridInterpolator
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.align.probing import ProbedPoints
 from planner.forming.contact import ToolPath
 from planner.forming.job import FormingJob
@@ -24,6 +24,7 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.curves import along, arc_length
 from planner.geometry.units import MM
 from planner.loops.plant import PlantFile, Sheets
+from planner.processes import registry
 from planner.scan import adjustment, deviation
 from planner.scan.adjustment import Adjusted
 from planner.scan.cloud import Cloud
@@ -100,7 +101,7 @@ def job_of(folder: Path, kind: Kind) -> FormingJob:
     """The job of forming a part of a kind."""
     data = small_forming.problem("spif", stepdown_mm=STEP / MM, force_n=kind.force, unreached_mm=5)
     data["sheet"] |= {"size_mm": [260, 260], "opening_mm": 180, "metal": "aa5754_o"}
-    (found,) = processes.jobs(pipeline.load(small_forming.write(folder, data, kind.mesh())))
+    (found,) = registry.jobs(pipeline.load(small_forming.write(folder, data, kind.mesh())))
     assert isinstance(found, FormingJob)
     return found
 

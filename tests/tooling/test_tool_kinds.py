@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.cell import plant
 from planner.cell.bodies import own_shapes
 from planner.geometry import corner_rounding
@@ -23,6 +23,7 @@ from planner.geometry.units import MM
 from planner.hotwire.straight import job
 from planner.issues import TandemError
 from planner.problem import Problem
+from planner.processes import registry
 from planner.reading import cell
 from planner.targets import lever
 from planner.tooling import (
@@ -167,7 +168,7 @@ def test_a_tool_cuts_as_far_from_its_tcp_as_its_solid_goes() -> None:
 
 def refusal(problem: Problem) -> dict[str, str]:
     with pytest.raises(TandemError) as caught:
-        processes.job(problem, 0).targets()
+        registry.job(problem, 0).targets()
     return {issue.code: issue.message for issue in caught.value.issues}
 
 

@@ -8,12 +8,13 @@ from typing import Any
 
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.issues import Issue
 from planner.motion import solve
 from planner.post import write as post
 from planner.problem import Problem
+from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.prove import TRIM_RULES, Prover
@@ -128,10 +129,10 @@ class Job:
 
     def __init__(self, folder: Path, part: Mesh | None = None, **fields: Any) -> None:
         self.problem = problem(folder, part, **fields)
-        targets = [processes.job(self.problem, 0).targets()]
+        targets = [registry.job(self.problem, 0).targets()]
         self.plan = solve.solve(self.problem, targets)
         self.programs: dict[str, str] = dict(post.programs(self.plan, self.problem))
-        self.prover = Prover(self.problem, processes.claims(self.problem))
+        self.prover = Prover(self.problem, registry.claims(self.problem))
 
     def prove(self, programs: dict[str, str], last: str | None = "verify.trim_spindle") -> Proof:
         return self.prover.prove(programs, last=last)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.claims.trim import TrimsSheet
 from planner.issues import Issue, TandemError
+from planner.processes import registry
 from planner.trim.operation import Trim, every_outline
 from planner.verify.context import Context
 from planner.verify.files import UnreadError
@@ -52,7 +52,7 @@ def outline(**fields: Any) -> dict[str, Any]:
 
 def job(folder: Path, *outlines: dict[str, Any], **fields: Any) -> Any:
     own: dict[str, Any] = {"lead": {"length_mm": 1.5}, "pierce": {"off_mm": 1.0}, "shape_tol_mm": 0.3}
-    return processes.job(problem(folder, outlines=list(outlines), **{**own, **fields}), 0)
+    return registry.job(problem(folder, outlines=list(outlines), **{**own, **fields}), 0)
 
 
 def refused(folder: Path, *outlines: dict[str, Any]) -> list[Issue]:

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.issues import TandemError
 from planner.problem import Problem
+from planner.processes import registry
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
 from tests.trim.small_trim import data
@@ -34,7 +35,7 @@ def both(folder: Path, trim_first: bool) -> Problem:
 
 
 def test_forming_what_a_hole_lies_in_is_refused(tmp_path: Path) -> None:
-    job = processes.job(both(tmp_path, True), 1)
+    job = registry.job(both(tmp_path, True), 1)
     with pytest.raises(TandemError) as error:
         job.targets()
     (issue,) = [one for one in error.value.issues if one.code == "forming.holes"]
@@ -48,7 +49,7 @@ def test_the_other_way_round_the_sheet_is_whole_when_it_is_formed(tmp_path: Path
     first, second = (read.setup_of(k).stock.sheet for k in (0, 1))
     assert first is not None and second is not None
     assert first.holes == second.holes == ()
-    assert processes.job(read, 0).targets().count > 100
+    assert registry.job(read, 0).targets().count > 100
 
 
 def test_what_is_cut_is_left_to_the_next_operation(tmp_path: Path) -> None:

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.issues import Issue, TandemError
 from planner.post import write as post
+from planner.processes import registry
 from planner.tooling import torch
 from planner.trim.face import Face, apart, lay, offset
 from planner.verify.trim.outlines import winding
@@ -26,7 +27,7 @@ ROUND = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
 
 def refused(folder: Path, **fields: Any) -> list[Issue]:
     with pytest.raises(TandemError) as error:
-        processes.job(problem(folder, **fields), 0).targets()
+        registry.job(problem(folder, **fields), 0).targets()
     return list(error.value.issues)
 
 
@@ -72,7 +73,7 @@ def test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps(tmp_pat
     found = refused(tmp_path, **CASES[code])
     assert code in {issue.code for issue in found}
     assert all(issue.hint for issue in found)
-    made = processes.job(problem(tmp_path, **{**CASES[code], **FOLLOWED[code]}), 0).targets()
+    made = registry.job(problem(tmp_path, **{**CASES[code], **FOLLOWED[code]}), 0).targets()
     assert made.count > 10
 
 
@@ -97,7 +98,7 @@ def test_where_nothing_is_sure_to_stay_or_to_drop(
         {**one, "circle": {"at_mm": [1.08 * one["circle"]["at_mm"][0], 0], "diameter_mm": 9.9}}
         for one in drawn
     ]
-    assert processes.job(problem(tmp_path, outlines=wider, **lead), 0).targets().count > 10
+    assert registry.job(problem(tmp_path, outlines=wider, **lead), 0).targets().count > 10
 
 
 def test_a_curve_that_crosses_itself_is_refused(tmp_path: Path) -> None:
@@ -111,7 +112,7 @@ def test_a_sharp_corner_that_the_tolerance_takes_is_cut(tmp_path: Path) -> None:
     # a round slot of 1.2 mm leaves 0.6 (sqrt 2 - 1) = 0.249 mm in a right angle
     (issue,) = refused(tmp_path, outlines=[{"name": "a", "curve": square(7.0)}], shape_tol_mm=0.1)
     assert issue.value == pytest.approx(0.6 * (np.sqrt(2.0) - 1.0), abs=0.005)
-    made = processes.job(problem(tmp_path, outlines=[{"name": "a", "curve": square(7.0)}]), 0).targets()
+    made = registry.job(problem(tmp_path, outlines=[{"name": "a", "curve": square(7.0)}]), 0).targets()
     assert made.count > 10
 
 
@@ -130,19 +131,19 @@ def test_a_forming_tool_cuts_no_sheet(tmp_path: Path) -> None:
     whole["cell"]["arms"][0]["tool"] = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
     with pytest.raises(TandemError, match="no torch") as error:
-        processes.job(read, 0).targets()
+        registry.job(read, 0).targets()
     assert [issue.code for issue in error.value.issues] == ["trim.tool"]
 
 
 def test_without_a_formed_sheet_nothing_is_trimmed(tmp_path: Path) -> None:
     whole = dataclasses.replace(problem(tmp_path), part=None)
     with pytest.raises(TandemError) as error:
-        processes.job(whole, 0).targets()
+        registry.job(whole, 0).targets()
     assert [issue.code for issue in error.value.issues] == ["trim.no_sheet"]
 
 
 def test_an_arm_that_is_too_slow_is_told(tmp_path: Path) -> None:
-    job = processes.job(problem(tmp_path, outlines=[ROUND]), 0)
+    job = registry.job(problem(tmp_path, outlines=[ROUND]), 0)
     made = job.targets()
     clock = np.concatenate([[0.0], np.cumsum(made.travel[1:] / made.feed[1:])])
     assert job.driven(made, clock) == ()
@@ -152,7 +153,7 @@ def test_an_arm_that_is_too_slow_is_told(tmp_path: Path) -> None:
 def test_a_torch_that_lingers_in_a_long_slot_is_told(tmp_path: Path) -> None:
     """One move of 3 s more hardly counts on average, and burns a hole."""
     circle = {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside"}
-    job = processes.job(problem(tmp_path, outlines=[circle]), 0)
+    job = registry.job(problem(tmp_path, outlines=[circle]), 0)
     made = job.targets()
     step = made.travel / made.feed
     assert job.driven(made, np.cumsum(step)) == ()
@@ -164,7 +165,7 @@ def test_a_torch_that_lingers_in_a_long_slot_is_told(tmp_path: Path) -> None:
 
 def test_controllers_of_ur_know_both_signals_by_number(tmp_path: Path) -> None:
     read = problem(tmp_path, outlines=[ROUND], **of_ur(tmp_path))
-    made = processes.job(read, 0).targets()
+    made = registry.job(read, 0).targets()
     assert post.controller_refusals(read, [made]) == ()
     fewer = problem(tmp_path, outlines=[ROUND], **of_ur(tmp_path, {"doArc": 3}))
     (issue,) = post.controller_refusals(fewer, [made])
@@ -182,7 +183,7 @@ def test_two_arms_of_ur_light_no_torch(tmp_path: Path) -> None:
     other = {**one, "name": "other", "arms": ["second"], "signal": "doArc2"}
     whole["operations"].append({**other, "outlines": [{**ROUND, "name": "b"}]})
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    made = [processes.job(read, k).targets() for k in range(2)]
+    made = [registry.job(read, k).targets() for k in range(2)]
     found = [i for i in post.controller_refusals(read, made) if i.code == "post.controller"]
     assert [i.arm for i in found] == ["robot", "second"]
     assert all("beside another arm of UR" in i.message for i in found)
@@ -190,7 +191,7 @@ def test_two_arms_of_ur_light_no_torch(tmp_path: Path) -> None:
 
 def test_inner_curves_come_before_outer_ones(tmp_path: Path) -> None:
     rim = {"name": "rim", "circle": {"at_mm": [0, 0], "diameter_mm": 72}, "drops": "outside"}
-    made = processes.job(problem(tmp_path, outlines=[rim, ROUND]), 0).targets()
+    made = registry.job(problem(tmp_path, outlines=[rim, ROUND]), 0).targets()
     names = list(dict.fromkeys(segment.name for segment in made.segment if segment.name))
     assert names == ["round", "rim"]
 
@@ -208,7 +209,7 @@ def test_fields_that_contradict_each_other_are_refused(tmp_path: Path, field: di
 def test_feed_follows_the_thickness_of_the_sine_law(tmp_path: Path) -> None:
     hole = {**ROUND, "circle": {"at_mm": [24, 0], "diameter_mm": 6}}
     read = problem(tmp_path, outlines=[hole], lead={"length_mm": 1.0}, pierce={"off_mm": 0.9})
-    targets = processes.job(read, 0).targets()
+    targets = registry.job(read, 0).targets()
     axis = -targets.pose["robot"][:, :3, 2]
     rows = np.flatnonzero([s.kind == "trim" and not s.phase for s in targets.segment])
     rows = rows[~(targets.stop[rows] | targets.stop[rows - 1])]

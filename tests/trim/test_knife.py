@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.issues import Issue, TandemError
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.tooling import Blade, knife
 from planner.verify.prove import Prover
 from tests import urdf_text
@@ -58,9 +59,9 @@ class KnifeJob(Job):
 
     def __init__(self, folder: Path, outlines: list[dict[str, Any]], **fields: Any) -> None:
         self.problem = read(folder, outlines, **fields)
-        self.plan = solve.solve(self.problem, [processes.job(self.problem, 0).targets()])
+        self.plan = solve.solve(self.problem, [registry.job(self.problem, 0).targets()])
         self.programs = dict(write.programs(self.plan, self.problem))
-        self.prover = Prover(self.problem, processes.claims(self.problem))
+        self.prover = Prover(self.problem, registry.claims(self.problem))
 
 
 @pytest.fixture(scope="module")
@@ -252,12 +253,12 @@ CASES: dict[str, tuple[dict[str, Any], str, str, dict[str, Any]]] = {
 def test_what_a_knife_cannot_cut_is_refused_and_the_change_helps(tmp_path: Path, name: str) -> None:
     fields, code, words, change = CASES[name]
     with pytest.raises(TandemError) as error:
-        processes.job(read(tmp_path, **fields), 0).targets()
+        registry.job(read(tmp_path, **fields), 0).targets()
     issue = error.value.issues[0]
     assert issue.code == code
     assert words in issue.message
     assert issue.hint
-    assert processes.job(read(tmp_path, **{**fields, **change}), 0).targets().count > 10
+    assert registry.job(read(tmp_path, **{**fields, **change}), 0).targets().count > 10
 
 
 def test_a_torch_is_no_knife(tmp_path: Path) -> None:
@@ -265,7 +266,7 @@ def test_a_torch_is_no_knife(tmp_path: Path) -> None:
     whole["operations"][0]["by"] = {"kind": "torch"}
     whole["operations"][0]["signal"] = "doArc"
     with pytest.raises(TandemError, match="carries knife, no torch") as error:
-        processes.job(pipeline.load(write_forming(tmp_path, whole, dish())), 0).targets()
+        registry.job(pipeline.load(write_forming(tmp_path, whole, dish())), 0).targets()
     assert [issue.code for issue in error.value.issues] == ["trim.tool"]
 
 
@@ -334,9 +335,9 @@ def test_a_ur_cuts_on_a_wall(tmp_path: Path) -> None:
     del whole["cell"]["arms"][0]["home_deg"]
     whole["sheet"]["place"] = {"xyz_mm": [700, 0, 300]}
     problem = pipeline.load(write_forming(tmp_path, whole, dish()))
-    plan = solve.solve(problem, [processes.job(problem, 0).targets()])
+    plan = solve.solve(problem, [registry.job(problem, 0).targets()])
     programs = dict(write.programs(plan, problem))
-    prover = Prover(problem, processes.claims(problem))
+    prover = Prover(problem, registry.claims(problem))
     assert prover.prove(programs).issues == ()
     (file,) = programs
     late = programs[file].replace("sleep(20.0)", "sleep(2.0)")
@@ -351,7 +352,7 @@ def test_an_axis_that_would_turn_on_and_on_is_named(tmp_path: Path) -> None:
     whole["sheet"]["place"] = {"xyz_mm": [500, 0, 100]}
     problem = pipeline.load(write_forming(tmp_path, whole, dish()))
     with pytest.raises(TandemError) as error:
-        solve.solve(problem, [processes.job(problem, 0).targets()])
+        solve.solve(problem, [registry.job(problem, 0).targets()])
     found: list[Issue] = [i for i in error.value.issues if i.code == "motion.no_path"]
     assert len(found) == 1
     assert "axis 4 of arm robot would have to turn from" in found[0].message
@@ -363,7 +364,7 @@ def test_an_axis_that_would_jump_is_named(tmp_path: Path) -> None:
     del whole["cell"]["arms"][0]["home_deg"]
     problem = pipeline.load(write_forming(tmp_path, whole, dish()))
     with pytest.raises(TandemError) as error:
-        solve.solve(problem, [processes.job(problem, 0).targets()])
+        solve.solve(problem, [registry.job(problem, 0).targets()])
     (issue,) = (i for i in error.value.issues if i.code == "motion.no_path")
     assert "axis 6 of arm robot would have to turn on past its limits, and jumps" in issue.message
 
@@ -371,4 +372,4 @@ def test_an_axis_that_would_jump_is_named(tmp_path: Path) -> None:
 def test_names_of_stretches_are_not_those_of_outlines(tmp_path: Path) -> None:
     other = {"name": "rect_p2", "circle": {"at_mm": [0, 30], "diameter_mm": 8}}
     with pytest.raises(TandemError, match="rect_p2 is what a stretch of rect is called"):
-        processes.job(read(tmp_path, [RECT, other]), 0).targets()
+        registry.job(read(tmp_path, [RECT, other]), 0).targets()

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from planner import processes
 from planner.post import write as post
+from planner.processes import registry
 from planner.verify.krl.parser import Reader
 from planner.verify.krl.syntax_tree import Await
 from tests.trim.small_trim import KUKA, NUMBERS, OUTLINES, Job, problem
@@ -255,6 +255,6 @@ def test_nothing_lights_a_torch_behind_a_stop_nor_goes_on_in_a_slot(job: Job, na
 
 def test_numbers_of_both_signals_are_asked_for(tmp_path: Any) -> None:
     read = problem(tmp_path, arm=KUKA, controller={"io": {"robot": {"doArc": 17}}}, outlines=[OUTLINES[0]])
-    made = processes.job(read, 0).targets()
+    made = registry.job(read, 0).targets()
     (issue,) = post.controller_refusals(read, [made])
     assert issue.code == "post.signal" and "diArcOk" in issue.message

@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 import shapely
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.issues import TandemError
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.targets import ScrewFreedom
 from planner.tooling import mill
 from planner.trim.check import gouged
@@ -128,7 +129,7 @@ def test_the_slot_is_half_a_cutter_inside_and_the_tip_through_the_sheet(job: Job
 
 
 def test_a_cutter_on_a_wall_turns_about_the_face_when_it_leans(tmp_path: Path) -> None:
-    targets = processes.job(problem(tmp_path, outlines=[WALL], **milled(below_mm=2)), 0).targets()
+    targets = registry.job(problem(tmp_path, outlines=[WALL], **milled(below_mm=2)), 0).targets()
     for one in targets.freedoms:
         assert isinstance(one, ScrewFreedom)
         twist = one.axis["robot"]
@@ -139,7 +140,7 @@ def test_a_cutter_on_a_wall_turns_about_the_face_when_it_leans(tmp_path: Path) -
 
 def test_a_cutter_goes_down_a_ramp_unturned_and_slower_than_it_may(tmp_path: Path) -> None:
     """On walls a ramp is uneven: the proof found 2.1 mm/s where 2 are allowed."""
-    targets = processes.job(problem(tmp_path, outlines=[WALL], **milled(plunge_mm_s=2)), 0).targets()
+    targets = registry.job(problem(tmp_path, outlines=[WALL], **milled(plunge_mm_s=2)), 0).targets()
     pose = targets.pose["robot"]
     rows = np.array([k for k, s in enumerate(targets.segment) if s.key == "trim/wall"])
     rows = np.concatenate([rows[:1] - 1, rows])
@@ -188,7 +189,7 @@ def test_short_slots_are_as_fast_as_asked_where_nothing_goes_down(tmp_path: Path
     changed = in_procedure(own.programs, "trim_rim_p1", slower)
     assert changed != own.programs
     assert own.told_by("verify.trim_feed", changed)
-    made, job = own.plan.operations[0], processes.job(own.problem, 0)
+    made, job = own.plan.operations[0], registry.job(own.problem, 0)
     own_rows = np.array([str(s) == "trim/rim_p1" for s in made.targets.segment])
     spent = np.diff(made.time, prepend=made.time[0])
     behind = np.cumsum(own_rows) > 2  # of its rows: down, and the first at the bottom
@@ -199,7 +200,7 @@ def test_short_slots_are_as_fast_as_asked_where_nothing_goes_down(tmp_path: Path
 
 def refused(folder: Path, **fields: Any) -> list[Any]:
     with pytest.raises(TandemError) as error:
-        processes.job(problem(folder, **fields), 0).targets()
+        registry.job(problem(folder, **fields), 0).targets()
     return [one for one in error.value.issues if one.severity.name == "ERROR"]
 
 
@@ -287,7 +288,7 @@ def test_a_die_behind_the_sheet_is_not_cut(tmp_path: Path) -> None:
     whole["cell"]["arms"][0]["tool"] = ball
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
     with pytest.raises(TandemError) as error:
-        processes.job(read, 1).targets()
+        registry.job(read, 1).targets()
     assert [issue.code for issue in error.value.issues] == ["trim.die"]
 
 
@@ -348,7 +349,7 @@ def test_a_cutter_comes_down_on_an_arc_before_it_is_near_to_the_curve(tmp_path: 
     """An arc that runs into the curve is near to it long before its end: there the proof found 0.93 mm of the
     2 mm that it has to be behind the face."""
     arc = {"length_mm": 2.5, "shape": "arc"}
-    targets = processes.job(problem(tmp_path, outlines=[ROUND], lead=arc, **milled()), 0).targets()
+    targets = registry.job(problem(tmp_path, outlines=[ROUND], lead=arc, **milled()), 0).targets()
     rows = [k for k, one in enumerate(targets.segment) if one.key == "trim/round"]
     tip = targets.pose["robot"][rows, :3, 3] / 1e-3
     off = 8.0 - np.hypot(tip[:, 0], tip[:, 1]) - 1.0
@@ -363,7 +364,7 @@ def test_a_way_in_on_which_nothing_comes_down_is_refused(tmp_path: Path) -> None
     whole["part"]["sheet_mesh"]["tolerance_mm"] = 1.0
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
     with pytest.raises(TandemError) as error:
-        processes.job(read, 0).targets()
+        registry.job(read, 0).targets()
     (issue,) = error.value.issues
     assert issue.code == "trim.lead"
     assert "1.65 mm off the curve" in issue.message
@@ -402,8 +403,8 @@ def test_an_arm_of_ur_mills(tmp_path: Path) -> None:
     del whole["cell"]["arms"][0]["home_deg"]
     whole["sheet"]["place"] = {"xyz_mm": [700, 0, 300]}
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    programs = dict(write.programs(solve.solve(read, [processes.job(read, 0).targets()]), read))
-    prover = Prover(read, processes.claims(read))
+    programs = dict(write.programs(solve.solve(read, [registry.job(read, 0).targets()]), read))
+    prover = Prover(read, registry.claims(read))
     assert prover.prove(programs).ok
     (file,) = programs
     late = programs[file].replace("sleep(5.0)", "sleep(0.5)")

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.claims.trim import TrimsSheet
 from planner.geometry.arrays import Mesh
+from planner.processes import registry
 from planner.trim.face import Face
 from planner.verify.trim.outlines import SheetSide
 from tests.small_forming import dish
@@ -29,7 +30,7 @@ def test_the_proof_sees_the_face_that_a_mesh_with_noise_means(tmp_path: Path) ->
     vertices[inner, 2] += np.random.default_rng(7).normal(0.0, SIGMA, int(inner.sum()))
     path = write_forming(tmp_path, data(outlines=[OUTLINES[0]], **milled()), Mesh(vertices, clean.faces))
     problem = pipeline.load(path)
-    (claim,) = (one for one in processes.claims(problem)["cut"] if isinstance(one, TrimsSheet))
+    (claim,) = (one for one in registry.claims(problem)["cut"] if isinstance(one, TrimsSheet))
     assert claim.rough == pytest.approx(3.0 * SIGMA, rel=0.15)
     side = SheetSide(claim, problem.source.get("part"))
     assert 2.5 * SIGMA < side.tolerance <= claim.rough

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.motion import solve
 from planner.post import write as post
+from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.urscript import reader
 from planner.verify.urscript.syntax_tree import AwaitArc, GuardArc
@@ -329,8 +330,8 @@ def test_two_operations_cut_with_one_torch(tmp_path: Path) -> None:
     b = {"name": "b", "circle": {"at_mm": [8, 0], "diameter_mm": 12}}
     whole["operations"].append({**whole["operations"][0], **slow, "outlines": [b]})
     read = pipeline.load(write_forming(tmp_path, whole, dish()))
-    plan = solve.solve(read, [processes.job(read, k).targets() for k in range(2)])
-    programs, prover = dict(post.programs(plan, read)), Prover(read, processes.claims(read))
+    plan = solve.solve(read, [registry.job(read, k).targets() for k in range(2)])
+    programs, prover = dict(post.programs(plan, read)), Prover(read, registry.claims(read))
     assert prover.prove(programs, last="verify.trim_feed").issues == ()
     patient = re.sub(r"(?<=kill watching_arc)(?!_)|(?<=watch_arc)(?=\(\)\r)", "_2", programs[FILE])
     patient = patient.replace("watching_arc = run", "watching_arc_2 = run")

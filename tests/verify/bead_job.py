@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.claims.claim import Claim
 from planner.problem import Problem
+from planner.processes import registry
 
 FEED, LEAST = 40.0, 36.0
 STEP, COUNT, STOP = 6.0, 13, 7
@@ -118,7 +119,7 @@ def problem(job: str) -> Problem:
 @functools.cache
 def claims(job: str) -> dict[str, tuple[Claim, ...]]:
     """What must hold, from the problem."""
-    return dict(processes.claims(problem(job)))
+    return dict(registry.claims(problem(job)))
 
 
 @functools.cache

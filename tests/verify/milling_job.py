@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from planner import processes
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
 from tests.milling.small_mill import problem
@@ -20,9 +20,9 @@ class Job:
 
     def __init__(self, folder: Path, base: dict, tool: dict | None = None, **fields: object) -> None:  # type: ignore[type-arg]
         self.problem = problem(folder, base, tool, **fields)
-        targets = [processes.job(self.problem, 0).targets()]
+        targets = [registry.job(self.problem, 0).targets()]
         self.programs: Programs = dict(write.programs(solve.solve(self.problem, targets), self.problem))
-        self.prover = Prover(self.problem, processes.claims(self.problem))
+        self.prover = Prover(self.problem, registry.claims(self.problem))
 
     def prove(self, programs: Programs, last: str | None = "verify.spindle") -> Proof:
         return self.prover.prove(programs, last=last)

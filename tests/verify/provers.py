@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-from planner import processes
 from planner.pipeline import Outcome
+from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
 from tests.verify import held_job, krl_job, small_job, straight_job
@@ -29,4 +29,4 @@ def broken(proof: Proof) -> set[str]:
 def prover_of(outcome: Outcome) -> Prover:
     """The prover of a planned job that knows nothing of where its plan has external axes stand."""
     made = dataclasses.replace(outcome.problem, stations={})
-    return Prover(made, processes.claims(made))
+    return Prover(made, registry.claims(made))

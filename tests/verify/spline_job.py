@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.verify.prove import Prover
 from tests import small_problem
 
@@ -39,8 +40,8 @@ def job():
     """(problem, plan, texts, prover) of the job."""
     folder = Path(tempfile.mkdtemp())
     problem = pipeline.load(written(folder, bow()))
-    plan = solve.solve(problem, [processes.job(problem, 0).targets()])
-    prover = Prover(problem, processes.claims(problem))
+    plan = solve.solve(problem, [registry.job(problem, 0).targets()])
+    prover = Prover(problem, registry.claims(problem))
     return problem, plan, dict(write.programs(plan, problem)), prover
 
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from planner.forming.operation import Forming
-from planner.processes import PROCESSES
+from planner.processes.registry import PROCESSES
 from tests.verify import (
     faults_of_motion,
     faults_of_parts,

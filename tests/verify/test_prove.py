@@ -7,9 +7,10 @@ from typing import get_args
 
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.claims.claim import Claim, HoldsStock
 from planner.issues import TandemError
+from planner.processes import registry
 from planner.verify.prove import PROVEN_BY, RULE_CODES, prove, unproven
 
 
@@ -52,7 +53,7 @@ class _Glue:
         return self.more
 
 
-_OWN = processes.PROCESSES["targets"].job
+_OWN = registry.PROCESSES["targets"].job
 
 
 @pytest.mark.parametrize(("more", "code"), [((GluesParts("cut/a"),), "claims.unproven"), ((), "claims.none")])
@@ -61,7 +62,7 @@ def test_a_process_that_claims_so_is_refused_before_any_motion(
 ) -> None:
     problem = pipeline.load("gauge_lanes")
     monkeypatch.setattr(
-        processes, "jobs", lambda one: (_Glue(one.operations[0], one.setup_of(0), None, more),)
+        registry, "jobs", lambda one: (_Glue(one.operations[0], one.setup_of(0), None, more),)
     )
     stages: list[str] = []
     with pytest.raises(TandemError) as caught:

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.forming import level as one_level
 from planner.forming.job import FormingJob
 from planner.forming.springback import compensation_file, level_file
 from planner.geometry.units import MM
+from planner.processes import registry
 
 PLAN = "0123456789abcdef" * 4
 
@@ -24,7 +25,7 @@ def stated(number: int, **more: Any) -> dict[str, Any]:
 def write(path: Path) -> None:
     """Write the file that the problem in ``path`` names."""
     problem = pipeline.load(path)
-    job = processes.job(problem, 0)
+    job = registry.job(problem, 0)
     assert isinstance(job, FormingJob)
     level = job.operation.level
     assert level is not None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.forming.check import check
 from planner.forming.job import FormingJob
 from planner.forming.operation import Springback
@@ -21,6 +21,7 @@ from planner.geometry.arrays import lengths
 from planner.geometry.curves import along, arc_length
 from planner.geometry.units import MM
 from planner.issues import TandemError
+from planner.processes import registry
 from tests import small_forming
 from tests.forming.springback import springback_files as files
 
@@ -30,7 +31,7 @@ SLOPE = 0.05
 def job(folder: Path, mode: str = "spif", **op: Any) -> FormingJob:
     data = small_forming.problem(mode, force_n=500.0, **op)
     path = small_forming.write(folder, data, small_forming.dish())
-    found = processes.jobs(pipeline.load(path))[0]
+    found = registry.jobs(pipeline.load(path))[0]
     assert isinstance(found, FormingJob)
     return found
 
@@ -121,7 +122,7 @@ def _grown(way: compensation.Way) -> tuple[np.ndarray, np.ndarray]:
 def test_a_tool_below_goes_up(tmp_path: Path) -> None:
     data = small_forming.problem("spif", force_n=500.0, side="bottom")
     path = small_forming.write(tmp_path, data, small_forming.upside_down(small_forming.dish()))
-    made = processes.jobs(pipeline.load(path))[0]
+    made = registry.jobs(pipeline.load(path))[0]
     assert isinstance(made, FormingJob)
     laid, found = files.foretold(made)
     ways, _ = compensation.ways(made.planned, laid, found, SLOPE)
@@ -216,7 +217,7 @@ def test_a_file_of_another_job_is_refused_by_what_differs(
     data = small_forming.problem("dsif", force_n=500.0)
     data["sheet"] |= {"thickness_mm": 1.2, "clamp": {"border": "immovable"}}
     path = small_forming.write(tmp_path / "other", data, small_forming.dish(depth=5.0))
-    (made,) = processes.jobs(pipeline.load(path))
+    (made,) = registry.jobs(pipeline.load(path))
     assert isinstance(made, FormingJob)
     found = said(given(made, tmp_path, text))
     names = {what.split("another job: ")[1].split(":")[0] for what in found}

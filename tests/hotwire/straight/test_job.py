@@ -23,7 +23,7 @@ from planner.hotwire.straight import job
 from planner.hotwire.straight.order import distance_to_polyline
 from planner.issues import Severity
 from planner.problem import Part, Stock
-from planner.processes import PROCESSES
+from planner.processes.registry import PROCESSES
 from planner.targets import FEED_SHARE, ScrewFreedom, Targets
 from tests.hotwire import foam_blocks as blocks
 

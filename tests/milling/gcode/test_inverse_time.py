@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner import pipeline, plans, processes
+from planner import pipeline, plans
 from planner.cli import results
 from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
@@ -18,6 +18,7 @@ from planner.milling.gcode import inverse_time
 from planner.milling.gcode.inverse_time import AXIS_OFF, Way
 from planner.milling.gcode.state import KINEMATICS, convention
 from planner.milling.operation import Milling
+from planner.processes import registry
 from planner.targets import Action
 from tests import small_problem
 from tests.milling.gcode.gcode_programs import read
@@ -122,7 +123,7 @@ def test_a_milled_job_has_its_operator_and_its_spindle(tmp_path: Path) -> None:
         {**PANEL["cell"]["arms"][0]["tool"], "cutter": "ball"},
         cuts=[{"lines": "front", "stepover_mm": 3}],
     )
-    (job,) = processes.jobs(made)
+    (job,) = registry.jobs(made)
     targets = job.targets()
     time = np.cumsum(np.append(0.0, targets.travel[1:] / targets.feed[1:]))
     way = inverse_time.way_of(made.operations[0], targets, targets.neutral(), time)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import planner
-from planner import processes
 from planner.geometry.arrays import FloatArray
+from planner.processes import registry
 from planner.verify.milling import following, tool_motion
 from planner.verify.milling.tool_motion import Track, _with_bends
 from planner.verify.prove import Prover
@@ -42,7 +42,7 @@ class Job:
         problem = planner.load(folder / "problem.yaml")
         self.outcome = planner.plan(problem)
         self.programs = dict(self.outcome.programs)
-        self.prover = Prover(problem, processes.claims(problem))
+        self.prover = Prover(problem, registry.claims(problem))
 
     def verdicts(self, monkeypatch: pytest.MonkeyPatch, programs: dict[str, str]) -> set[tuple[bool, bool]]:
         """What is said of the way and of the feed, whatever the phase of the samples."""

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner import processes
 from planner.claims.claim import ContactOnlyIn
 from planner.claims.milling import MillsAlong
 from planner.claims.vocabulary import OperatorDialogue
@@ -31,6 +30,7 @@ from planner.milling.operation import GCodeFile
 from planner.milling.tool_path import ToolPath
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.verify.milling import gcode_moves as second
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.gcode_lines import UnreadableError, words
@@ -185,15 +185,15 @@ class Job:
 
     def prove(self) -> Proof:
         own = self.problem()
-        targets = [processes.job(own, 0).targets()]
+        targets = [registry.job(own, 0).targets()]
         programs = dict(write.programs(solve.solve(own, targets), own))
-        return Prover(own, processes.claims(own)).prove(programs, last="verify.spindle")
+        return Prover(own, registry.claims(own)).prove(programs, last="verify.spindle")
 
 
 def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
     job = Job(tmp_path)
     own = job.problem()
-    (group,) = wanted_ways.worked_out(processes.claims(own))[0].values()
+    (group,) = wanted_ways.worked_out(registry.claims(own))[0].values()
     (spoken,) = [claim for claim in group if isinstance(claim, OperatorDialogue)]
     (stop,) = spoken.stops
     assert [
@@ -284,11 +284,11 @@ def test_a_spindle_waits_as_long_as_the_file_says_and_no_longer(tmp_path: Path) 
     place = {"xyz_mm": [5, 3, 30], "rpy_deg": [0, 0, 20]}
     gcode_ = {"file": "job.nc", "origin": place, "tool_axis": "rotary", "convention": "head_a", "dwell": "ms"}
     own = problem(tmp_path, PANEL, BALL, cuts=[{"name": "prog", "gcode": gcode_}], part=None)
-    claims = processes.claims(own)
+    claims = registry.claims(own)
     (group,) = wanted_ways.worked_out(claims)[0].values()
     ways = [claim for claim in group if isinstance(claim, MillsAlong)]
     assert [way.dwell for way in ways if not way.segment.phase] == [3.0, 0.5]
-    programs = dict(write.programs(solve.solve(own, [processes.job(own, 0).targets()]), own))
+    programs = dict(write.programs(solve.solve(own, [registry.job(own, 0).targets()]), own))
     prover = Prover(own, claims)
     assert not prover.prove(programs, last="verify.power_idle").issues
     (main,) = [file for file, text in programs.items() if "WaitTime 2;" in text]

@@ -13,7 +13,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from planner import processes
 from planner.claims.milling import Engraves, MillsAlong
 from planner.geometry.arrays import FloatArray
 from planner.milling import job as milling_job
@@ -21,6 +20,7 @@ from planner.milling import point_cut
 from planner.milling.job import MillingJob
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.tooling import Cutter
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.following import follow
@@ -66,9 +66,9 @@ def samples(way: MillsAlong, step: float = 0.1e-3) -> tuple[FloatArray, FloatArr
 @pytest.mark.parametrize("name", VARIANTS)
 def test_the_planner_follows_what_the_proof_lays(tmp_path: Path, name: str, tool: str) -> None:
     own = problem(tmp_path, PANEL, TOOLS[tool], cuts=[{**VARIANTS[name], "depth_mm": 0.4}])
-    job = processes.job(own, 0)
+    job = registry.job(own, 0)
     assert isinstance(job, MillingJob)
-    (group,) = wanted_ways.worked_out(processes.claims(own))[0].values()
+    (group,) = wanted_ways.worked_out(registry.claims(own))[0].values()
     wanted = {str(claim.segment): claim for claim in group if isinstance(claim, MillsAlong)}
     for run in job.planned.runs:
         claim = wanted[f"mill/{run.name}"]
@@ -163,9 +163,9 @@ FIRST: list[Any] = []
 def proof(folder: Path) -> Proof:
     cut = {"engrave": [WAVE, ARCH], "depth_mm": 0.8, "lead_deg": 8, "feed_mm_s": 15}
     own = problem(folder, PANEL, BALL, cuts=[cut])
-    targets = [processes.job(own, 0).targets()]
+    targets = [registry.job(own, 0).targets()]
     programs = dict(write.programs(solve.solve(own, targets), own))
-    return Prover(own, processes.claims(own)).prove(programs, last="verify.spindle")
+    return Prover(own, registry.claims(own)).prove(programs, last="verify.spindle")
 
 
 def test_a_clean_engraving_is_proven(tmp_path: Path) -> None:
@@ -200,16 +200,16 @@ def test_a_curve_of_a_drawing_is_laid_as_its_points_are(tmp_path: Path, pieces: 
         BALL,
         cuts=[{"engrave": [{"dxf": {"file": "own.dxf", "unit": "in"}}], "depth_mm": 0.4}],
     )
-    (group,) = wanted_ways.worked_out(processes.claims(own))[0].values()
+    (group,) = wanted_ways.worked_out(registry.claims(own))[0].values()
     claim, *_ = [claim for claim in group if isinstance(claim, MillsAlong)]
     assert (claim.back is None) == (pieces == 1)
     straight = problem(tmp_path, PANEL, BALL, cuts=[{"engrave": [ZIGZAG], "depth_mm": 0.4}])
-    (other,) = wanted_ways.worked_out(processes.claims(straight))[0].values()
+    (other,) = wanted_ways.worked_out(registry.claims(straight))[0].values()
     wanted = next(claim for claim in other if isinstance(claim, MillsAlong))
     found = [np.abs(one.tip - wanted.tip).max() for one in (claim, claim.back) if one is not None]
     assert min(found) < 1e-9
     if claim.back is not None:
         np.testing.assert_allclose(claim.back.tip, claim.tip[::-1], atol=1e-9)
-    targets = [processes.job(own, 0).targets()]
+    targets = [registry.job(own, 0).targets()]
     programs = dict(write.programs(solve.solve(own, targets), own))
-    assert not Prover(own, processes.claims(own)).prove(programs, last="verify.spindle").issues
+    assert not Prover(own, registry.claims(own)).prove(programs, last="verify.spindle").issues

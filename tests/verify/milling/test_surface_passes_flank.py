@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.claims.milling import MillsFlank
 from planner.geometry.arrays import FloatArray
 from planner.milling import cutter_contact, flank_cut
@@ -20,6 +19,7 @@ from planner.milling.job import MillingJob
 from planner.milling.tool_path import Run, ends
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.verify.milling import surface_passes
 from planner.verify.milling.tool_motion import in_block
 from planner.verify.prove import Prover
@@ -67,7 +67,7 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def job(folder: Path, **fields: Any) -> tuple[MillingJob, MillsFlank]:
-    own = processes.job(problem(folder, WALL, LONG, **fields), 0)
+    own = registry.job(problem(folder, WALL, LONG, **fields), 0)
     assert isinstance(own, MillingJob)
     (claim,) = [claim for claim in own.claims() if isinstance(claim, MillsFlank)]
     return own, claim
@@ -261,9 +261,9 @@ FAULTS: dict[str, tuple[Any, str, Any]] = {
 
 def prove(folder: Path) -> Any:
     own = problem(folder, WALL, cuts=[{"flank": "wall", "stepdown_mm": 25}])
-    targets = [processes.job(own, 0).targets()]
+    targets = [registry.job(own, 0).targets()]
     programs = line_ends.bare(write.programs(solve.solve(own, targets), own))
-    return Prover(own, processes.claims(own)).prove(programs, last="verify.spindle")
+    return Prover(own, registry.claims(own)).prove(programs, last="verify.spindle")
 
 
 @pytest.mark.sampled(every=2)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.claims.milling import MillsOver, MillsSurface
 from planner.geometry.arrays import FloatArray
 from planner.milling import job as milling_job
@@ -18,6 +17,7 @@ from planner.milling import point_cut
 from planner.milling.job import MillingJob
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.verify.milling.surface_passes import OverFace
 from planner.verify.prove import Prover
 from tests import line_ends
@@ -41,7 +41,7 @@ TOOLS: dict[str, dict[str, Any]] = {
 
 
 def job(folder: Path, tool: str, cut: dict[str, Any]) -> tuple[MillingJob, MillsOver]:
-    own = processes.job(problem(folder, PANEL, TOOLS[tool], cuts=[cut], share=0.51), 0)  # far apart
+    own = registry.job(problem(folder, PANEL, TOOLS[tool], cuts=[cut], share=0.51), 0)  # far apart
     assert isinstance(own, MillingJob)
     (claim,) = [claim for claim in own.claims() if isinstance(claim, MillsOver)]
     return own, claim
@@ -122,9 +122,9 @@ def test_faults_in_the_planner_are_not_proven(
     own = problem(
         tmp_path, PANEL, BALL, cuts=[{**LINES, "stepover_mm": 1.2, "margin_mm": 8, "feed_mm_s": 20}]
     )
-    claims = processes.claims(own)
+    claims = registry.claims(own)
     (wanted,) = [c for group in claims.values() for c in group if isinstance(c, MillsSurface)]
     assert wanted.margin == 0.008
-    targets = [processes.job(own, 0).targets()]
+    targets = [registry.job(own, 0).targets()]
     programs = line_ends.bare(write.programs(solve.solve(own, targets), own))
     assert bool(Prover(own, claims).prove(programs, last="verify.spindle").issues) == (name is not None)

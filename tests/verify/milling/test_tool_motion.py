@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.geometry.mesh import small_pieces
 from planner.issues import TandemError
 from planner.milling import check
+from planner.processes import registry
 from planner.verify.forming import face as forming_face
 from planner.verify.forming.face import Face, left_by
 from planner.verify.milling import tool_motion
@@ -85,11 +86,11 @@ def test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven(
     assert not proof.ok and issue.limit == 40_000 and "places" in issue.message
     monkeypatch.setattr(check, "MOST_FACE_POINTS", 30_000)
     with pytest.raises(TandemError) as caught:
-        processes.job(read, 0).targets()
+        registry.job(read, 0).targets()
     (told,) = caught.value.issues
     assert told.code == "milling.too_large" and told.value is not None and told.value > 30_000
     wanted = Said("shape_tol_mm of #", step=0.01).of([told], None)
-    processes.job(problem(tmp_path, WALL, shape_tol_mm=wanted), 0).targets()
+    registry.job(problem(tmp_path, WALL, shape_tol_mm=wanted), 0).targets()
 
 
 def uneven() -> tuple[np.ndarray, np.ndarray]:

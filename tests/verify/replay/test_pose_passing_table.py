@@ -12,8 +12,9 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.catalogue import robots
+from planner.processes import registry
 from planner.reading import poses
 from planner.verify.replay import pose_passing
 
@@ -178,5 +179,5 @@ def test_both_readers_agree_on_the_bundled_table() -> None:
     problem = pipeline.load("gauge_lanes")
     mine = pose_passing.read_pose_table(problem.operations[0].file, ("robot",))  # type: ignore[attr-defined]
     np.testing.assert_allclose(
-        mine.poses["robot"], processes.job(problem, 0).targets().pose["robot"], atol=1e-12
+        mine.poses["robot"], registry.job(problem, 0).targets().pose["robot"], atol=1e-12
     )

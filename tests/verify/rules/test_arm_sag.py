@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.catalogue import robots
 from planner.catalogue.robots import JointStiffness, robot
 from planner.cell.compliance import PointLoad, given_way
@@ -16,6 +16,7 @@ from planner.cell.kinematics import forward
 from planner.claims.claim import ArmSags
 from planner.geometry.arrays import from_rpy
 from planner.geometry.units import GRAVITY
+from planner.processes import registry
 from planner.verify import prove
 from planner.verify.replay.arm_model import machine_of
 from planner.verify.replay.bending import Bent
@@ -33,7 +34,7 @@ def proven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Any, Any]:
     problem = pipeline.load(JOBS["posed_sag"](tmp_path_factory.mktemp("job")))
     outcome = pipeline.plan(problem)
     assert outcome.verified
-    return problem, processes.claims(problem), outcome.programs
+    return problem, registry.claims(problem), outcome.programs
 
 
 @pytest.mark.parametrize("name", SAMPLE)
@@ -121,7 +122,7 @@ def test_a_shift_beyond_what_the_problem_allows_is_refused(proven: Any) -> None:
     problem, _, programs = proven
     arms = tuple(dataclasses.replace(a, sag=dataclasses.replace(a.sag, most=1e-4)) for a in problem.cell.arms)
     tight = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=arms))
-    found = prove.prove(tight, processes.claims(tight), programs)
+    found = prove.prove(tight, registry.claims(tight), programs)
     assert {i.code for i in found.issues if i.value and i.value > 0.1} >= {"verify.sag"}
 
 

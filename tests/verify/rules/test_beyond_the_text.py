@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.catalogue.issue_codes import CODES
 from planner.catalogue.robots import robot
 from planner.cell.plant import build
 from planner.claims.claim import CutsSurface, FollowsPoses, KerfCurve, WireJoins
 from planner.geometry.arrays import Shape, from_rpy
+from planner.issue_codes import CODES
 from planner.issues import Issue, with_remedy
 from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Stock
 from planner.tooling import PlainTool

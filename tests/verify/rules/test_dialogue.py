@@ -9,11 +9,11 @@ import pytest
 import yaml
 
 import planner
-from planner import processes
 from planner.claims import vocabulary
 from planner.claims.claim import OneOf
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.prove import Prover
@@ -311,9 +311,9 @@ def milled(tmp_path_factory):
     cuts = [{"name": "prog", "gcode": own}]
     path = small_mill.write(folder, small_mill.PANEL, small_mill.BALL, cuts=cuts, part=None)
     problem = planner.load(path)
-    targets = [job.targets() for job in processes.jobs(problem)]
+    targets = [job.targets() for job in registry.jobs(problem)]
     programs = line_ends.bare(write.programs(solve.solve(problem, targets), problem))
-    held = Prover(problem, processes.claims(problem))
+    held = Prover(problem, registry.claims(problem))
     return programs, lambda texts: held.prove(texts, last=CODE).issues
 
 
@@ -365,9 +365,9 @@ def test_spacers_are_as_thick_as_the_slot(tmp_path, heat):
     }
     path.write_text(yaml.safe_dump(data))
     problem = planner.load(path)
-    targets = [job.targets() for job in processes.jobs(problem)]
+    targets = [job.targets() for job in registry.jobs(problem)]
     programs = line_ends.bare(write.programs(solve.solve(problem, targets), problem))
-    held = Prover(problem, processes.claims(problem))
+    held = Prover(problem, registry.claims(problem))
     assert held.prove(programs).ok
     file = main_of(programs)
     for change in (0.7, 1.4):

@@ -9,7 +9,7 @@ import functools
 import numpy as np
 import pytest
 
-from planner.catalogue.issue_codes import CODES
+from planner.issue_codes import CODES
 from planner.verify.prove import RULE_CODES, prove
 from tests.verify import small_job
 from tests.verify.mutants import MUTATORS

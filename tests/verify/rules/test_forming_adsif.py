@@ -8,12 +8,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.claims.forming import FormsByTable
 from planner.forming.paths.adsif_response import BUILT_IN_FILE
 from planner.geometry.arrays import Mesh
 from planner.motion import solve
 from planner.post import write
+from planner.processes import registry
 from planner.verify.forming import accumulative
 from planner.verify.prove import Prover
 from tests import line_ends, small_forming
@@ -39,14 +40,14 @@ def oval():
 
 def planned(folder, part, **more):
     found = pipeline.load(small_forming.write(folder, small_forming.problem("adsif", **more), part))
-    plan = solve.solve(found, [one.targets() for one in processes.jobs(found)], lambda *_: None)
+    plan = solve.solve(found, [one.targets() for one in registry.jobs(found)], lambda *_: None)
     return found, line_ends.bare(write.programs(plan, found))
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     found, texts = planned(tmp_path_factory.mktemp("cone"), cone())
-    return Prover(found, processes.claims(found)), texts
+    return Prover(found, registry.claims(found)), texts
 
 
 def rows_of(texts, task):
@@ -187,7 +188,7 @@ def test_straight_moves_of_the_last_loop_may_be_off_as_far_as_the_user_lets_them
     width = 12.99 * 0.2e-3
     part = shapes.cone(WALL, width * np.tan(np.deg2rad(WALL)), RADIUS * 1e-3, 72)
     found, texts = planned(tmp_path, part, path="contour", tangent_deg=12, chord_mm=0.1)
-    claims = processes.claims(found)
+    claims = registry.claims(found)
     assert broken(Prover(found, claims).prove(texts, last="verify.adsif")) == set()
     finer = {
         name: tuple(
@@ -203,13 +204,13 @@ def test_another_part_is_proven_on_its_other_side(tmp_path):
     """An oval that goes up, in loops, for tools that yield."""
     held = {"force_n": 100.0, "stiffness_n_mm": 5000.0}
     found, texts = planned(tmp_path, oval(), path="contour", adsif=held)
-    assert broken(Prover(found, processes.claims(found)).prove(texts, last="verify.adsif")) == set()
+    assert broken(Prover(found, registry.claims(found)).prove(texts, last="verify.adsif")) == set()
     stiff = {
         name: tuple(
             dataclasses.replace(claim, give=0.0) if isinstance(claim, FormsByTable) else claim
             for claim in group
         )
-        for name, group in processes.claims(found).items()
+        for name, group in registry.claims(found).items()
     }
     # 20 um of give times the sine of the position angle is off the gap, and then some
     loose = {

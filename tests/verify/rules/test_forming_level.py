@@ -13,12 +13,12 @@ import pytest
 import shapely
 
 import planner
-from planner import processes
 from planner.claims.forming import FormsLevel
 from planner.forming import level as one_level
 from planner.geometry.units import MM
 from planner.issues import TandemError
 from planner.pipeline import Outcome
+from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.rules import forming_level, forming_tool, forming_two_tools
@@ -55,7 +55,7 @@ def context_of(outcome: Outcome, texts: Mapping[str, str] | None = None, **level
     (operation,) = outcome.problem.operations
     other = operation.model_copy(update={"level": operation.level.model_copy(update=level)})
     problem = dataclasses.replace(outcome.problem, operations=(other,))
-    claims = {job.operation.name: job.claims() for job in processes.jobs(outcome.problem)}
+    claims = {job.operation.name: job.claims() for job in registry.jobs(outcome.problem)}
     return Context(problem, claims, outcome.programs if texts is None else texts)
 
 
@@ -264,7 +264,7 @@ def test_files_with_a_fault_are_refused_by_proof_and_planner(
     assert found
     assert any(what in one for one in found)
     with pytest.raises(TandemError) as error:
-        processes.job(planner.load(written(folder, level_files.stated(1))), 0).targets()
+        registry.job(planner.load(written(folder, level_files.stated(1))), 0).targets()
     assert {issue.code for issue in error.value.issues} == {"forming.compensation"}
 
 
@@ -274,7 +274,7 @@ def test_a_file_that_is_cut_short_is_not_read(context: Context, file: Path, fold
         file.write_text(other)
         assert any(what in one for one in messages(context))
         with pytest.raises(TandemError) as error:
-            processes.job(planner.load(written(folder, level_files.stated(1))), 0).targets()
+            registry.job(planner.load(written(folder, level_files.stated(1))), 0).targets()
         assert error.value.issues[0].code == "forming.compensation"
 
 
@@ -290,7 +290,7 @@ def test_limits_of_the_problem_hold_for_its_file(outcome: Outcome) -> None:
 def test_a_level_that_is_not_there_is_refused(tmp_path: Path) -> None:
     for level, what in (({"number": 9}, "has 0 to 3"), ({"number": 0, "pass_name": "f2"}, "passes are: f1")):
         with pytest.raises(TandemError) as error:
-            processes.job(planner.load(written(tmp_path, level)), 0).targets()
+            registry.job(planner.load(written(tmp_path, level)), 0).targets()
         assert error.value.issues[0].code == "forming.path_options"
         assert what in error.value.issues[0].message
 

@@ -9,11 +9,12 @@ import importlib
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.claims.forming import FormsPart
 from planner.claims.vocabulary import Segment
 from planner.forming.features import tree
 from planner.geometry.mesh import TriangleMesh, face_normals
+from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.forming.shapes import Shape
 from planner.verify.forming.state import Forming
@@ -48,7 +49,7 @@ def problem(folder, mode="dsif", part=None, sheet=None, **operation):
 
 def told(found, change=None):
     """Codes of both rules that the claims of a problem break; ``change`` makes other claims of them."""
-    group = processes.claims(found)
+    group = registry.claims(found)
     if change is not None:
         group = {name: change(one) for name, one in group.items()}
     context = Context(found, group, {})
@@ -345,7 +346,7 @@ NOISY = {
 def test_a_ridge_that_is_smoothed_away_is_no_noise(scan, deep, seen):
     """2 mm wide and 20 mm long: in no mean of a place, and among no 1 % of the vertices."""
     change = of_faces(lambda p: -deep * ((np.abs(p[:, 1]) < 1e-3) & (np.abs(p[:, 0]) < 0.01)))
-    group = {name: change(one) for name, one in processes.claims(scan).items()}
+    group = {name: change(one) for name, one in registry.claims(scan).items()}
     forming = Forming.__new__(Forming)
     forming.context = Context(scan, group, {})
     words = " ".join(issue.message for issue in forming_part(forming.context, forming).issues)

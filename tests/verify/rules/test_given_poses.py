@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.issues import Severity, TandemError
 from planner.motion.trajectory import move_limits as planned
+from planner.processes import registry
 from planner.targets import Targets
 from planner.verify.prove import Prover
 from planner.verify.replay import pose_passing as proven
@@ -230,7 +231,7 @@ def test_harmless_changes_end_without_alarm(job: str) -> None:
 
 
 def some_targets(rng: np.random.Generator) -> Targets:
-    made = processes.job(bead_job.problem("abb"), 0).targets()
+    made = registry.job(bead_job.problem("abb"), 0).targets()
     return dataclasses.replace(
         made,
         travel=np.append(0.0, rng.uniform(0.5e-3, 9e-3, made.count - 1)),

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner import processes
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
 from planner.pipeline import Outcome
+from planner.processes import registry
 from planner.report import scene
 from planner.verify.context import Context
 from planner.verify.prove import Prover
@@ -80,7 +80,7 @@ def test_the_text_has_the_block_within_a_micrometre_of_the_plan_on_a_table(turne
 
 def test_axes_take_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:
     for out, own in ((track_job.planned_krl(), 1.0), (table_job.planned_krl(), 20.0)):
-        context = Context(out.problem, processes.claims(out.problem), out.programs)
+        context = Context(out.problem, registry.claims(out.problem), out.programs)
         shown = re.search(r"\$VEL_EXTAX\[\d\]=(\d+)", "".join(out.programs.values()))
         assert shown is not None
         speed = own * float(shown[1]) / 100.0  # m/s, deg/s

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import processes
 from planner.cell.kinematics import forward
+from planner.processes import registry
 from planner.report import scene, setup_sheet
 from planner.verify.context import Context
 from planner.verify.prove import Prover
@@ -51,7 +51,7 @@ def test_the_text_has_the_tool_within_a_micrometre_of_the_plan(prover: Prover) -
 
 def test_each_axis_takes_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:
     out = gantry_job.planned_krl()
-    context = Context(out.problem, processes.claims(out.problem), out.programs)
+    context = Context(out.problem, registry.claims(out.problem), out.programs)
     text = "".join(out.programs.values())
     shares = {n: float(v) / 100.0 for n, v in re.findall(r"\$VEL_EXTAX\[(\d)\]=(\d+)", text)}
     own = {"1": (shares["1"], 1.0), "2": (0.5 * shares["2"], 0.5)}  # m/s, m/s2

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner import processes
+from planner.processes import registry
 from planner.report import scene, setup_sheet
 from planner.verify.context import Context
 from planner.verify.prove import Prover
@@ -47,7 +47,7 @@ def test_the_text_has_the_block_within_a_micrometre_of_the_plan(prover: Prover) 
 
 def test_both_axes_take_the_time_of_the_text_on_the_proofs_clock_and_in_the_replay() -> None:
     out = positioner_job.planned_krl()
-    context = Context(out.problem, processes.claims(out.problem), out.programs)
+    context = Context(out.problem, registry.claims(out.problem), out.programs)
     text = "".join(out.programs.values())
     shares = {n: float(v) / 100.0 for n, v in re.findall(r"\$VEL_EXTAX\[(\d)\]=(\d+)", text)}
     own = {"1": (20.0 * shares["1"], 40.0), "2": (15.0 * shares["2"], 30.0)}  # deg/s, deg/s2

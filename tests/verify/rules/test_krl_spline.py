@@ -8,10 +8,11 @@ import re
 import numpy as np
 import pytest
 
-from planner import pipeline, processes
+from planner import pipeline
 from planner.issues import TandemError
 from planner.post import write
 from planner.post.krl import spline_blocks
+from planner.processes import registry
 from planner.reading.controller import ControllerFile, controllers
 from planner.verify import prove
 from planner.verify.rules import clearance
@@ -65,7 +66,7 @@ def test_straight_moves_are_what_is_written_without_asking(tmp_path):
     texts = write.programs(plan, problem)
     assert "SPLINE" not in texts[MOVES] and "SLIN {" in texts[MOVES]
     texts[MOVES] = spline_job.job()[2][MOVES].replace(spline_job.job()[0].digest, problem.digest)
-    found = prove.Prover(problem, processes.claims(problem)).prove(texts, first_error=True)
+    found = prove.Prover(problem, registry.claims(problem)).prove(texts, first_error=True)
     assert {issue.code for issue in found.issues} == {"verify.spline"}
 
 

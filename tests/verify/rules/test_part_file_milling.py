@@ -9,7 +9,7 @@ import dataclasses
 import pytest
 
 import planner
-from planner import processes
+from planner.processes import registry
 from planner.verify.prove import Prover
 from tests.milling import small_mill
 
@@ -29,7 +29,7 @@ def result(wall, change):
     source = copy.deepcopy(dict(problem.source))
     change(source["part"])
     other = dataclasses.replace(problem, source=source)
-    proof = Prover(other, processes.claims(problem)).prove(programs, last="verify.part_file")
+    proof = Prover(other, registry.claims(problem)).prove(programs, last="verify.part_file")
     return proof.rule("verify.part_file")
 
 

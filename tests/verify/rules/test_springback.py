@@ -17,11 +17,11 @@ import pytest
 import yaml
 
 import planner
-from planner import processes
 from planner.claims.forming import ComesBack
 from planner.cli.forming import Springback, run_springback
 from planner.geometry.units import MM
 from planner.pipeline import Outcome
+from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.forming import elastic, released, springback_bounds, springback_file
 from planner.verify.forming.state import Forming
@@ -57,7 +57,7 @@ def outcome(folder: Path) -> Outcome:
 
 
 def claims_of(outcome: Outcome) -> Mapping[str, Any]:
-    return {job.operation.name: job.claims() for job in processes.jobs(outcome.problem)}
+    return {job.operation.name: job.claims() for job in registry.jobs(outcome.problem)}
 
 
 @pytest.fixture(scope="module")
@@ -475,7 +475,7 @@ def test_the_sheet_of_the_proof_comes_back_as_trials_say(tmp_path: Path) -> None
     data = small_forming.problem("spif", force_n=600.0)
     data["sheet"] = {"size_mm": [320, 320], "thickness_mm": 1, "metal": "aa5754_o", "opening_mm": [250, 250]}
     path = small_forming.write(tmp_path, data, shapes.cone(45.0, 0.020, 0.050, 240))
-    (job,) = processes.jobs(planner.load(path))
+    (job,) = registry.jobs(planner.load(path))
     claims = job.claims()
     part = next(claim for claim in claims if isinstance(claim, FormsPart))
     made = PartShapes(part, in_order(claims))
@@ -553,10 +553,10 @@ def test_another_force_than_the_stated_one_is_found(tmp_path: Path, kind: str, c
 
     def asked(changes: Any) -> list[str]:
         with planner_faults.changed(changes):
-            (job,) = processes.jobs(planner.load(by_force(tmp_path, kind)))
+            (job,) = registry.jobs(planner.load(by_force(tmp_path, kind)))
             (tmp_path / "back.json").write_text(files.text_of(job))  # type: ignore[arg-type]
         problem = planner.load(by_force(tmp_path, kind, springback={"file": "back.json"}))
-        claims = {job.operation.name: job.claims() for job in processes.jobs(problem)}
+        claims = {job.operation.name: job.claims() for job in registry.jobs(problem)}
         found = Context(problem, claims, {})
         (one,) = Forming(found).told
         return [
@@ -569,10 +569,10 @@ def test_another_force_than_the_stated_one_is_found(tmp_path: Path, kind: str, c
 
 
 def test_a_file_of_other_forces_than_it_was_written_for_is_of_another_job(tmp_path: Path) -> None:
-    (job,) = processes.jobs(planner.load(by_force(tmp_path, "file")))
+    (job,) = registry.jobs(planner.load(by_force(tmp_path, "file")))
     (tmp_path / "back.json").write_text(files.text_of(job))  # type: ignore[arg-type]
     problem = planner.load(by_force(tmp_path, "file", springback={"file": "back.json"}))
-    found = Context(problem, {job.operation.name: job.claims() for job in processes.jobs(problem)}, {})
+    found = Context(problem, {job.operation.name: job.claims() for job in registry.jobs(problem)}, {})
     (one,) = Forming(found).told
     whole = (tmp_path / "forces.csv").read_text()
     for text, named in (

@@ -13,7 +13,6 @@ import pytest
 import yaml
 
 import planner
-from planner import processes
 from planner.claims.claim import CutsSurface
 from planner.hotwire.straight import cut as straight_cut
 from planner.hotwire.straight import job
@@ -22,6 +21,7 @@ from planner.hotwire.straight.order import Lines
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
+from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.wire import walls
 from tests.hotwire import foam_blocks as blocks
@@ -230,7 +230,7 @@ def test_a_cut_to_which_nothing_leads(tmp_path: Path) -> None:
         name: text.replace("cut_strip_in", "cut_strop_in").replace("cut/strip_in", "cut/strop_in")
         for name, text in outcome.programs.items()
     }
-    claims = planner.processes.claims(made)
+    claims = planner.processes.registry.claims(made)
     proof = Prover(made, claims).prove(texts, last="verify.slit")
     assert "verify.slit" in {issue.code for issue in proof.issues}
 
@@ -274,7 +274,7 @@ def test_strips_that_cross_bound_the_part_together_and_are_proven(tmp_path: Path
 def test_what_goes_on_beyond_a_surface_that_it_crosses_is_no_part() -> None:
     """The outline of the bundled wall goes through the whole block; its front is at 75 mm there."""
     problem = planner.load("ruled_wall")
-    stated = processes.claims(problem, processes.jobs(problem))
+    stated = registry.claims(problem, registry.jobs(problem))
     part = tuple(c for claims in stated.values() for c in claims if isinstance(c, CutsSurface))
     outline = next(claim for claim in part if claim.segment.name == "outline")
     place = np.array([[0.10308477, 0.0337478, z] for z in (0.0735, 0.0755)])

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import planner
-from planner import processes
 from planner.cell import clearance as cell_clearance
 from planner.cell.kinematics import forward
 from planner.motion.planning_scene import Scene
 from planner.problem import END, Obstacle
+from planner.processes import registry
 from planner.reading.cell import ObstacleFile, shape
 from planner.verify.context import Context
 from planner.verify.prove import Prover
@@ -80,7 +80,7 @@ def test_a_straight_tool_has_its_track_turn_within_the_zones(tmp_path: Path) -> 
     what that asks of it at corners the plan has slowed down for."""
     out = planner.plan(following_job.problem(tmp_path, count=5, sway=0.0))
     assert out.verified, [str(issue) for issue in out.issues]
-    context = external_axes.standing(Context(out.problem, processes.claims(out.problem), out.programs))
+    context = external_axes.standing(Context(out.problem, registry.claims(out.problem), out.programs))
     made, motion = out.plan.operations[0], context.motion
     rows = np.flatnonzero(context.sample_setup == 0)
     straight = np.array([str(segment) == "move" for segment in motion.node_segment])[motion.node[rows]]

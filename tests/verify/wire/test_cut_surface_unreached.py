@@ -12,12 +12,12 @@ import pytest
 import shapely
 
 import planner
-from planner import processes
 from planner.claims.claim import FollowsRulings, KerfCurve
 from planner.claims.vocabulary import Segment
 from planner.hotwire.straight import cut
 from planner.hotwire.straight.offset import Beside
 from planner.problem import Problem
+from planner.processes import registry
 from planner.verify.prove import prove
 from planner.verify.result import CutFace
 from planner.verify.rules import cut_part
@@ -181,7 +181,7 @@ def test_a_groove_that_is_left_whole_is_caught(tmp_path: Path) -> None:
 
     plain, grooved = made(RIM), made([*RIM[:2], *GROOVE])
     programs = planner.plan(plain).programs
-    assert prove(plain, processes.claims(plain), programs).ok
-    issues = prove(grooved, processes.claims(grooved), programs).issues
+    assert prove(plain, registry.claims(plain), programs).ok
+    issues = prove(grooved, registry.claims(grooved), programs).issues
     assert {issue.code for issue in issues} == {"verify.rulings"}
     assert "round wire leaves" in issues[0].message

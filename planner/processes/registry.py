@@ -9,41 +9,22 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from pydantic import BaseModel
 
-from planner.claims import sag
+from planner.cell import sag
 from planner.claims.claim import Claim
 from planner.forming.operation import Forming
 from planner.hotwire.operation import ElasticWire, Straight
 from planner.issues import Issue, TandemError
 from planner.milling.operation import Milling
-from planner.problem import Part, Problem, Setup
+from planner.problem import Problem
+from planner.processes.process import Process
 from planner.reading.poses import Posed
 from planner.targets import Job
 from planner.trim.operation import Trim
-
-
-class Process(NamedTuple):
-    """Schema of the operation (:class:`planner.problem.Operation`: name, process, arms, and ``leaves``, the
-    block as the next operation finds it), and the module and class of the process's jobs."""
-
-    schema: type[BaseModel]
-    module: str
-    name: str
-
-    def job(
-        self, operation: Any, setup: Setup, part: Part | None, advise: bool = True, brief: bool = False
-    ) -> Job[Any]:
-        """The job of an operation of this process."""
-        made: Job[Any] = getattr(import_module(self.module), self.name)(operation, setup, part)
-        for name, value in {"advise": advise, "brief": brief}.items():
-            object.__setattr__(made, name, value)  # jobs of installed packages are made of the three alone
-        return made
-
 
 PROCESSES: Final[Mapping[str, Process]] = {
     "forming": Process(Forming, "planner.forming.job", "FormingJob"),
