@@ -25,21 +25,21 @@ from scipy.spatial.transform import Rotation
 import planner
 from bench.peers import installed
 from planner import pipeline
-from planner.align.probing import ProbedPoints
-from planner.align.rigid_fit import rigid_fit
 from planner.geometry.arrays import FloatArray, Mesh, transform
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import DEG, MM
 from planner.issues import TandemError
 from planner.problem import Formed, Part
-from planner.scan import deviation, freedoms
-from planner.scan.cloud import Cloud
-from planner.scan.deviation import Deviation
-from planner.scan.registration import Pose
+from planner.shopfloor.align.probing import ProbedPoints
+from planner.shopfloor.align.rigid_fit import rigid_fit
+from planner.shopfloor.scan import deviation, freedoms
+from planner.shopfloor.scan.cloud import Cloud
+from planner.shopfloor.scan.deviation import Deviation
+from planner.shopfloor.scan.registration import Pose
 from tests import small_forming
 from tests.forming.shapes import pit
-from tests.scan import rounds
-from tests.scan.made_scan import MadeScan, made_scan, write_marks, write_ply
+from tests.shopfloor.scan import rounds
+from tests.shopfloor.scan.made_scan import MadeScan, made_scan, write_marks, write_ply
 
 GOAL_S, GOAL_MB = 15.0, 1500.0
 GOAL_FIELD, GOAL_WAY, GOAL_TURN = 0.05 * MM, 0.05 * MM, 0.05 * DEG

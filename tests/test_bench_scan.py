@@ -10,8 +10,8 @@ import pytest
 
 from bench import scan_bench
 from planner.geometry.units import DEG, MM
-from planner.scan import freedoms
-from tests.scan.made_scan import MadeScan
+from planner.shopfloor.scan import freedoms
+from tests.shopfloor.scan.made_scan import MadeScan
 
 COUNT = 20_000
 

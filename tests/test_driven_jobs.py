@@ -14,11 +14,11 @@ from planner import pipeline
 from planner.catalogue.robots import data_dir, robot
 from planner.geometry.arrays import inverse, log_rotation
 from planner.issues import TandemError
-from planner.loading import proven
 from planner.post import write
 from planner.post.trajectories import clocks, curves, program, straight_ways
 from planner.reading.urdf import read_chain
 from planner.report import setup_sheet
+from planner.shopfloor.loading import proven
 from tests import test_seven_axes_jobs as seven
 from tests import test_ur_jobs
 from tests.verify import driven_job, planner_jobs, small_job, straight_job

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from planner import files, pipeline
-from planner.align import probing
 from planner.forming.paths import adsif_response
 from planner.forming.springback import clamp_calibration
 from planner.geometry import mesh_files, wing
@@ -16,6 +15,7 @@ from planner.issues import TandemError
 from planner.loops import loop_plan, machine, plant
 from planner.loops.loop_plan import LoopPlan
 from planner.reading import forces_file
+from planner.shopfloor.align import probing
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_litter(

@@ -17,9 +17,9 @@ from planner.files import RELEASE, write_whole
 from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
-    from planner.loading.rws import Rws
-    from planner.loading.store import Store
-    from planner.loading.upload import Sent
+    from planner.shopfloor.loading.rws import Rws
+    from planner.shopfloor.loading.store import Store
+    from planner.shopfloor.loading.upload import Sent
     from planner.verify.result import Proof
 
 PASSWORD = "TANDEM_CONTROLLER_PASSWORD"
@@ -75,9 +75,9 @@ class Download(Access):
 
 def connect(where: str, access: Access) -> Rws | Store:
     """The controller, share or FTP folder. Raises ``TandemError`` (``upload.*``)."""
-    from planner.loading.http_link import Link, Login, Trust
-    from planner.loading.rws import Rws
-    from planner.loading.store import Ftp, Share
+    from planner.shopfloor.loading.http_link import Link, Login, Trust
+    from planner.shopfloor.loading.rws import Rws
+    from planner.shopfloor.loading.store import Ftp, Share
 
     where = where.strip()
     scheme = where.partition("://")[0].lower() if "://" in where else ""
@@ -109,8 +109,8 @@ def _password(user: str, where: str) -> str:
 def run_upload(request: Upload) -> Sent:
     """Send a result, and tell what is there now."""
     from planner import pipeline
-    from planner.loading import compare, proven, upload
-    from planner.loading.rws import Rws
+    from planner.shopfloor.loading import compare, proven, upload
+    from planner.shopfloor.loading.rws import Rws
 
     result = proven.read(request.folder, pipeline.load_result(request.folder))
     said = proven.released(request.folder, result, request.released)
@@ -141,7 +141,7 @@ def run_upload(request: Upload) -> Sent:
 def run_download(request: Download) -> tuple[tuple[Issue, ...], Proof]:
     """Bring programs back: what was touched up there, and the proof of what came back."""
     from planner import pipeline
-    from planner.loading import download, proven, touched
+    from planner.shopfloor.loading import download, proven, touched
     from planner.verify.programs import program_text
 
     problem = pipeline.load_result(request.result)

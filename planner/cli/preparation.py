@@ -24,13 +24,13 @@ from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
-    from planner.align.probing import ProbedPoints
-    from planner.align.rigid_fit import Alignment
     from planner.catalogue.materials import Foam
     from planner.forming.features.tree import Feature, FeatureTree, OrderStep
     from planner.geometry.arrays import Mesh
     from planner.hotwire.kerf.calibration import CutFile, FitReport
     from planner.hotwire.kerf.width import KerfEstimate
+    from planner.shopfloor.align.probing import ProbedPoints
+    from planner.shopfloor.align.rigid_fit import Alignment
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -232,11 +232,11 @@ class Align:
 def run_align(request: Align) -> tuple[Issue, ...]:
     """Fit, print, and write the cell; warnings come back. Raises `TandemError` (room align, and what a cell's
     file can have)."""
-    from planner.align import probing, rigid_fit
     from planner.files import write_whole
     from planner.geometry.arrays import inverse, to_rpy
     from planner.reading import strict_yaml
     from planner.reading.problem import read_cell
+    from planner.shopfloor.align import probing, rigid_fit
 
     if not 0.0 < request.tolerance_mm <= 1000.0:
         what = f"tolerance: got {request.tolerance_mm:g} mm, allowed above 0, up to 1000 mm"

@@ -113,8 +113,8 @@ def export(
 
 def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: str) -> str:
     """What a proven result mills as G-code."""
-    from planner.loading import proven
     from planner.milling.gcode import inverse_time, state
+    from planner.shopfloor.loading import proven
 
     if machine not in state.KINEMATICS:
         what = f"--machine: got {machine}, allowed are {', '.join(state.KINEMATICS)}"

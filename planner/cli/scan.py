@@ -23,13 +23,13 @@ from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
-    from planner.align.probing import ProbedPoints
     from planner.geometry.arrays import FloatArray
     from planner.problem import Problem
-    from planner.scan.adjustment import Adjusted
-    from planner.scan.cloud import Cloud
-    from planner.scan.deviation import Deviation
-    from planner.scan.registration import Pose
+    from planner.shopfloor.align.probing import ProbedPoints
+    from planner.shopfloor.scan.adjustment import Adjusted
+    from planner.shopfloor.scan.cloud import Cloud
+    from planner.shopfloor.scan.deviation import Deviation
+    from planner.shopfloor.scan.registration import Pose
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -90,7 +90,7 @@ class Adjust:
 def run_scan_fit(request: ScanFit) -> tuple[Issue, ...]:
     """Register, measure, print and write; warnings come back. Raises `TandemError`."""
     from planner import pipeline
-    from planner.scan import deviation, freedoms
+    from planner.shopfloor.scan import deviation, freedoms
 
     _require_suffix(request.output, (".csv", ".html"), "output")
     problem = pipeline.load_result(request.folder)
@@ -112,7 +112,7 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     from planner.forming.operation import Springback
     from planner.forming.process_plan import lay_all
     from planner.forming.springback.compensation_file import belongs_to
-    from planner.scan import adjustment, deviation, freedoms
+    from planner.shopfloor.scan import adjustment, deviation, freedoms
 
     _require_suffix(request.output, (".yaml", ".yml"), "output")
     _require_suffix(request.page, (".html",), "page")
@@ -155,8 +155,8 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
 def _measured(
     problem: Problem, scan: Path, options: ScanOptions
 ) -> tuple[Cloud, ProbedPoints | None, Pose, Deviation]:
-    from planner.align import probing
-    from planner.scan import cloud, deviation, registration
+    from planner.shopfloor.align import probing
+    from planner.shopfloor.scan import cloud, deviation, registration
 
     marks = None if options.marks is None else probing.read(options.marks, registration.NAMES)
     points = cloud.read(scan, LENGTH_UNITS[options.unit])
@@ -201,7 +201,7 @@ def _require_suffix(path: Path | None, allowed: Sequence[str], field: str) -> No
 def _print(cloud: Cloud, pose: Pose, found: Deviation) -> None:
     import numpy as np
 
-    from planner.scan.registration import told
+    from planner.shopfloor.scan.registration import told
 
     out.print(f"{cloud.file}: {told(pose)}", markup=False)
     off = found.off[np.isfinite(found.off)] / MM

@@ -62,7 +62,7 @@ def _print_differences(found: tuple[Difference, ...], folder: Path, file: Path) 
 
 def record_proof(folder: Path, programs: Mapping[str, str], proof: Proof, signed: bool) -> None:
     """Write ``proof.json`` into a result folder, unless the one there is signed."""
-    from planner.loading import proven
+    from planner.shopfloor.loading import proven
 
     try:
         if not proven.record(folder, programs, proof, signed):

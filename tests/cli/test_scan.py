@@ -22,13 +22,13 @@ from planner.geometry.units import MM
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.processes import registry
-from planner.scan import cloud
+from planner.shopfloor.scan import cloud
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.rules import springback
 from tests import small_forming
 from tests.forming.springback import springback_files as files
-from tests.scan.made_scan import made_scan, write_marks, write_ply
+from tests.shopfloor.scan.made_scan import made_scan, write_marks, write_ply
 from tests.test_whole_forming import UPRIGHT
 
 

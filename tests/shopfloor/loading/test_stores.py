@@ -17,13 +17,13 @@ from pyftpdlib.handlers import FTPHandler
 from pyftpdlib.servers import ThreadedFTPServer
 
 from planner.issues import TandemError
-from planner.loading import download, upload
-from planner.loading import store as stores
-from planner.loading.http_link import Login, Trust
-from planner.loading.proven import Proven
-from planner.loading.store import Ftp, Share
-from tests.loading.ftps_server import Ftps
-from tests.loading.rws_server import certificate, fingerprint
+from planner.shopfloor.loading import download, upload
+from planner.shopfloor.loading import store as stores
+from planner.shopfloor.loading.http_link import Login, Trust
+from planner.shopfloor.loading.proven import Proven
+from planner.shopfloor.loading.store import Ftp, Share
+from tests.shopfloor.loading.ftps_server import Ftps
+from tests.shopfloor.loading.rws_server import certificate, fingerprint
 from tests.verify import bead_job
 
 MACHINE = '$TRAFONAME[]="#KR60HA C4 FLR"\n$ROBROOT={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\n'

@@ -15,8 +15,6 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.align.probing import ProbedPoints
-from planner.align.rigid_fit import align, bad_points
 from planner.geometry.arrays import (
     BoolArray,
     FloatArray,
@@ -29,6 +27,8 @@ from planner.geometry.arrays import (
 )
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
+from planner.shopfloor.align.probing import ProbedPoints
+from planner.shopfloor.align.rigid_fit import align, bad_points
 
 NAMES: Final = ("sheet", "scan")
 """What columns of a file of marks begin with."""

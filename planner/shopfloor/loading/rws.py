@@ -26,7 +26,7 @@ from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode, urljoin, urlsplit
 
 from planner.issues import Issue, TandemError
-from planner.loading.http_link import Answer, Link
+from planner.shopfloor.loading.http_link import Answer, Link
 
 MOST_PAGES = 500
 """Pages of one list that are followed at most."""

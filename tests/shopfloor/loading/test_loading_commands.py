@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from planner.cli import command_line
-from tests.loading.rws_server import SECRET, Controller
+from tests.shopfloor.loading.rws_server import SECRET, Controller
 from tests.verify import bead_job
 
 Run = Callable[..., tuple[int, str]]

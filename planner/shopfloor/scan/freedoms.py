@@ -16,8 +16,8 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, lengths
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
-from planner.scan.deviation import Deviation
-from planner.scan.registration import AGREE, Pose
+from planner.shopfloor.scan.deviation import Deviation
+from planner.shopfloor.scan.registration import AGREE, Pose
 
 WANTED_WAY: Final = 0.05 * MM
 WANTED_TURN: Final = 0.05 * DEG

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.align import rigid_fit
 from planner.geometry.arrays import FloatArray, from_parts, from_rpy
 from planner.geometry.units import DEG, MM
 from planner.issues import Severity, TandemError
+from planner.shopfloor.align import rigid_fit
 
 ARMS = ("left", "right")
 TRUE = from_rpy([1.7, 0.05, 0.02], np.array([0.4, -0.3, 178.0]) * DEG)

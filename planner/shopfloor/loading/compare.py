@@ -11,9 +11,9 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, Severity, TandemError
-from planner.loading.literals import difference, turn_deg
-from planner.loading.rws import Rws
 from planner.problem import Arm, Problem
+from planner.shopfloor.loading.literals import difference, turn_deg
+from planner.shopfloor.loading.rws import Rws
 from planner.verify.context import Context
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import SignalStep, WaitStep, poses

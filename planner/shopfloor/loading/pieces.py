@@ -11,7 +11,7 @@ import re
 from pathlib import PurePosixPath
 from typing import Final
 
-from planner.loading.literals import Shape, shape
+from planner.shopfloor.loading.literals import Shape, shape
 from planner.verify.job import MODULES
 
 KRL: Final = (".src", ".dat", ".sub")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planner.geometry.arrays import exp_rotation, to_quaternion
-from planner.loading.touched import changes, touched
+from planner.shopfloor.loading.touched import changes, touched
 from tests.verify import bead_job
 
 CUT = "T_ROB1/TandemCut1_1.mod"

@@ -17,7 +17,7 @@ from urllib.parse import unquote
 
 from planner.files import is_disk_full
 from planner.issues import Issue, TandemError
-from planner.loading.http_link import MOST_BYTES, Login, Trust, address
+from planner.shopfloor.loading.http_link import MOST_BYTES, Login, Trust, address
 
 _UNIX: Final = re.compile(
     r"(?P<folder>[-dl])[rwxsStT-]{9}\S?\s+(?:\S+\s+){4,7}?(?:\d{4}|\d\d?:\d\d)\s(?P<name>.+)"

@@ -13,7 +13,6 @@ import shapely
 from scipy.interpolate import RegularGridInterpolator
 
 from planner import pipeline
-from planner.align.probing import ProbedPoints
 from planner.forming.contact import ToolPath
 from planner.forming.job import FormingJob
 from planner.forming.operation import Springback
@@ -25,12 +24,13 @@ from planner.geometry.curves import along, arc_length
 from planner.geometry.units import MM
 from planner.loops.plant import PlantFile, Sheets
 from planner.processes import registry
-from planner.scan import adjustment, deviation
-from planner.scan.adjustment import Adjusted
-from planner.scan.cloud import Cloud
+from planner.shopfloor.align.probing import ProbedPoints
+from planner.shopfloor.scan import adjustment, deviation
+from planner.shopfloor.scan.adjustment import Adjusted
+from planner.shopfloor.scan.cloud import Cloud
 from tests import small_forming
 from tests.forming.shapes import pit, revolved
-from tests.scan.made_scan import made_scan
+from tests.shopfloor.scan.made_scan import made_scan
 
 TURN = 2.0 * np.pi * np.arange(24) / 24
 STEP = 1.0 * MM

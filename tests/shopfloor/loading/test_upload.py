@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from planner.issues import TandemError
-from planner.loading import compare, download, proven, upload
-from planner.loading.http_link import Link, Login, Trust
-from planner.loading.proven import Proven
-from planner.loading.rws import Rws
-from planner.loading.store import Share
-from tests.loading.rws_server import SECRET, USER, Controller, certificate, fingerprint
+from planner.shopfloor.loading import compare, download, proven, upload
+from planner.shopfloor.loading.http_link import Link, Login, Trust
+from planner.shopfloor.loading.proven import Proven
+from planner.shopfloor.loading.rws import Rws
+from planner.shopfloor.loading.store import Share
+from tests.shopfloor.loading.rws_server import SECRET, USER, Controller, certificate, fingerprint
 from tests.verify import bead_job
 
 TOOL = "[TRUE,[[0,0,160],[1,0,0,0]],[0.9,[0,0,60],[1,0,0,0],0,0,0]]"

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 
 from planner.issues import Issue, Severity, TandemError
-from planner.loading import compare, krc
-from planner.loading.proven import Proven, chosen, folder_name
-from planner.loading.rws import Rws
-from planner.loading.store import Store
+from planner.shopfloor.loading import compare, krc
+from planner.shopfloor.loading.proven import Proven, chosen, folder_name
+from planner.shopfloor.loading.rws import Rws
+from planner.shopfloor.loading.store import Store
 from planner.verify.programs import program_text
 
 MOST_FOLDERS = 99

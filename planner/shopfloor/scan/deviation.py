@@ -18,15 +18,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from planner.align.probing import ProbedPoints
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths, transform
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, small_pieces
 from planner.geometry.mesh_queries import Nearness
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Part
-from planner.scan.cloud import Cloud, require_size
-from planner.scan.registration import MAD, Flat, Pose, register
+from planner.shopfloor.align.probing import ProbedPoints
+from planner.shopfloor.scan.cloud import Cloud, require_size
+from planner.shopfloor.scan.registration import MAD, Flat, Pose, register
 
 RIM: Final = 8.0 * MM
 """The sheet so far [m] around the part's outline bends with it, and says nothing of where a scan lies."""

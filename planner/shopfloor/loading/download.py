@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import PurePosixPath
 
 from planner.issues import Issue, TandemError
-from planner.loading.store import Store
+from planner.shopfloor.loading.store import Store
 
 MOST_FILES = 10_000
 """Files and folders that are fetched at most: more is no folder of ours."""

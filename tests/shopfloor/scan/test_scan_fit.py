@@ -12,17 +12,17 @@ import shapely
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from planner.align.probing import ProbedPoints
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import Severity, TandemError
 from planner.problem import Formed, Part
-from planner.scan import cloud, deviation, freedoms
-from planner.scan.cloud import Cloud
+from planner.shopfloor.align.probing import ProbedPoints
+from planner.shopfloor.scan import cloud, deviation, freedoms
+from planner.shopfloor.scan.cloud import Cloud
 from planner.verify.files.meshes import read_points
 from tests import small_forming
 from tests.forming.shapes import pit
-from tests.scan.made_scan import Field, MadeScan, made_scan, write_ply
+from tests.shopfloor.scan.made_scan import Field, MadeScan, made_scan, write_ply
 
 SIZE = np.array([160.0, 160.0, 1.0]) * MM
 DEEP = 6.0 * MM

@@ -6,10 +6,10 @@ too shallow by e = d / cos a along z on a wall of angle a, the next one is forme
     C' = C + g (e + m),
 
 g the gain (a displacement adjustment, as springback is compensated in die design), and m what comes back
-more, or less, of a part that is formed as it is wanted (`planner.scan.forming_rate`): C, e and the wall above
-say that. Both are averaged over the ball's width, and what comes out is limited in slope as every springback
-file is. What is formed in a pass whose face is not the part's own is not on the scan: its tools go as they
-went.
+more, or less, of a part that is formed as it is wanted (`planner.shopfloor.scan.forming_rate`): C, e and
+the wall above say that. Both are averaged over the ball's width, and what comes out is limited in slope as
+every springback file is. What is formed in a pass whose face is not the part's own is not on the scan: its
+tools go as they went.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.align.probing import ProbedPoints
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.operation import Springback
 from planner.forming.process_plan import Work
@@ -39,10 +38,11 @@ from planner.geometry.curves import arc_length
 from planner.geometry.mesh_queries import Nearness
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.scan import forming_rate
-from planner.scan.cloud import Cloud
-from planner.scan.deviation import SPACING, Deviation
-from planner.scan.registration import Pose
+from planner.shopfloor.align.probing import ProbedPoints
+from planner.shopfloor.scan import forming_rate
+from planner.shopfloor.scan.cloud import Cloud
+from planner.shopfloor.scan.deviation import SPACING, Deviation
+from planner.shopfloor.scan.registration import Pose
 
 ON_FACE: Final = 0.1 * MM
 """Half of a pass's contact is within this [m] of the wanted face, or the pass is one before the last."""

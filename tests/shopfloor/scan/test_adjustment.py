@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.align.probing import ProbedPoints
 from planner.forming.job import FormingJob
 from planner.forming.operation import Springback
 from planner.forming.process_plan import lay_all
@@ -18,12 +17,13 @@ from planner.geometry.arrays import FloatArray, transform
 from planner.geometry.curves import along, arc_length
 from planner.geometry.units import MM
 from planner.issues import TandemError
-from planner.scan import adjustment, deviation, forming_rate
-from planner.scan.cloud import Cloud
+from planner.shopfloor.align.probing import ProbedPoints
+from planner.shopfloor.scan import adjustment, deviation, forming_rate
+from planner.shopfloor.scan.cloud import Cloud
 from planner.verify.forming import scan_field
 from planner.verify.forming.springback_file import Measured
-from tests.scan import rounds
-from tests.scan.rounds import GIVES_WAY, KINDS, Rounds, next_one
+from tests.shopfloor.scan import rounds
+from tests.shopfloor.scan.rounds import GIVES_WAY, KINDS, Rounds, next_one
 
 LEVELS = np.arange(1.0, 21.0) * MM
 

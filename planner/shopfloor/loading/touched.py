@@ -16,8 +16,8 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, from_rpy
 from planner.issues import Issue, Severity
-from planner.loading.literals import equal, shape, turn_deg
-from planner.loading.pieces import Piece, kind, pieces
+from planner.shopfloor.loading.literals import equal, shape, turn_deg
+from planner.shopfloor.loading.pieces import Piece, kind, pieces
 from planner.verify.programs import program_text
 from planner.verify.programs.steps import rotation
 
