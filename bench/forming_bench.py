@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.forming.features.tree import build
 from planner.geometry.arrays import Mesh
+from planner.processes.forming.plan.features.tree import build
 
 HALF, SPACING = 0.1, 1e-3
 ROUNDS = 5

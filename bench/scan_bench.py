@@ -37,7 +37,7 @@ from planner.shopfloor.scan.cloud import Cloud
 from planner.shopfloor.scan.deviation import Deviation
 from planner.shopfloor.scan.registration import Pose
 from tests import small_forming
-from tests.forming.shapes import pit
+from tests.processes.forming.plan.shapes import pit
 from tests.shopfloor.scan import rounds
 from tests.shopfloor.scan.made_scan import MadeScan, made_scan, write_marks, write_ply
 

@@ -18,19 +18,19 @@ import yaml
 
 import planner
 from planner import pipeline
-from planner.claims.forming import FormsPart
 from planner.cli.forming import Springback, run_springback
-from planner.forming.job import FormingJob
-from planner.forming.process_plan import lay_all, work
-from planner.forming.springback import forecast
-from planner.forming.springback.curves import Point, forces, solved
 from planner.geometry.arrays import lengths
 from planner.geometry.units import MM
 from planner.processes import registry
+from planner.processes.forming.claims import FormsPart
+from planner.processes.forming.plan.job import FormingJob
+from planner.processes.forming.plan.process_plan import lay_all, work
+from planner.processes.forming.plan.springback import forecast
+from planner.processes.forming.plan.springback.curves import Point, forces, solved
 from planner.verify.forming import elastic, springback_file
 from planner.verify.forming.shapes import PartShapes, in_order
 from tests import small_forming
-from tests.forming.shapes import pit
+from tests.processes.forming.plan.shapes import pit
 
 GOAL_CONTROL_S, GOAL_POINTS_S, GOAL_SHARE = 2.0, 180.0, 0.03
 PLACES = 20

@@ -146,7 +146,7 @@ def _read(document: Document) -> Problem:
     try:
         return problem_file.build(document, processes.readers())
     except TandemError as error:
-        from planner.forming.support.clearance import wider_mm
+        from planner.processes.forming.plan.support.clearance import wider_mm
 
         raise TandemError(size_advice.advised(document, error.issues, _changed, wider_mm)) from None
 

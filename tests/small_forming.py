@@ -14,7 +14,7 @@ import yaml
 from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import Mesh
 from planner.geometry.units import MM
-from tests.forming.shapes import revolved
+from tests.processes.forming.plan.shapes import revolved
 
 CELLS = data_dir("problems") / "cells"
 HEAT = {"kind": "heat_tool", "radius_mm": 15, "length_mm": 250, "standoff_mm": 20}

@@ -14,9 +14,9 @@ from bench import corpus
 from bench.corpus import airfoils, meshes, remedies, run, sheets, table
 from bench.corpus.job import PROBLEM, Job, make
 from planner import pipeline
-from planner.forming.operation import Mode
 from planner.issue_codes import CODES
 from planner.issues import TandemError
+from planner.processes.forming.plan.operation import Mode
 
 NAMES = corpus.names()
 SAMPLE = NAMES[:40]

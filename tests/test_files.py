@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from planner import files, pipeline
-from planner.forming.paths import adsif_response
-from planner.forming.springback import clamp_calibration
 from planner.geometry import mesh_files, wing
 from planner.issues import TandemError
 from planner.loops import loop_plan, machine, plant
 from planner.loops.loop_plan import LoopPlan
+from planner.processes.forming.plan.paths import adsif_response
+from planner.processes.forming.plan.springback import clamp_calibration
 from planner.reading import forces_file
 from planner.shopfloor.align import probing
 

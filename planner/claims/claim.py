@@ -15,7 +15,19 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.claims.forming import (
+from planner.claims.milling import (
+    Engraves,
+    MillsAlong,
+    MillsFlank,
+    MillsOver,
+    MillsProgram,
+    MillsSurface,
+    SparesPart,
+)
+from planner.claims.trim import TrimsSheet
+from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.processes.forming.claims import (
     ComesBack,
     FollowsOpposite,
     FormingFeed,
@@ -30,18 +42,6 @@ from planner.claims.forming import (
     ToolGap,
     ToolsLean,
 )
-from planner.claims.milling import (
-    Engraves,
-    MillsAlong,
-    MillsFlank,
-    MillsOver,
-    MillsProgram,
-    MillsSurface,
-    SparesPart,
-)
-from planner.claims.trim import TrimsSheet
-from planner.claims.vocabulary import OperatorDialogue, Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,8 +15,13 @@ from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
-    from planner.forming.springback.clamp_calibration import Calibration, Estimate, Plate, Readings
     from planner.problem import Problem
+    from planner.processes.forming.plan.springback.clamp_calibration import (
+        Calibration,
+        Estimate,
+        Plate,
+        Readings,
+    )
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -47,7 +52,7 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
     import numpy as np
     import shapely
 
-    from planner.forming.springback import clamp_calibration
+    from planner.processes.forming.plan.springback import clamp_calibration
     from planner.shell.newton import LimitLoadError
 
     sheet = problem.stock.sheet

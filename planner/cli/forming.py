@@ -26,14 +26,14 @@ from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
-    from planner.forming.job import FormingJob
-    from planner.forming.process_plan import Work
-    from planner.forming.springback.compensation import Way
-    from planner.forming.springback.control_points import ControlPoints
-    from planner.forming.springback.curves import Curve, PassSpringback, Point
     from planner.geometry.arrays import FloatArray
     from planner.loops.machine import Found, MachineFile
     from planner.problem import Problem
+    from planner.processes.forming.plan.job import FormingJob
+    from planner.processes.forming.plan.process_plan import Work
+    from planner.processes.forming.plan.springback.compensation import Way
+    from planner.processes.forming.plan.springback.control_points import ControlPoints
+    from planner.processes.forming.plan.springback.curves import Curve, PassSpringback, Point
 
 out = Console(highlight=False, soft_wrap=True)
 
@@ -81,9 +81,9 @@ class Springback:
 
 def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     """Work out, print and write; warnings come back. Raises `TandemError`."""
-    from planner.forming.process_plan import lay_all
-    from planner.forming.springback import forecast, released
-    from planner.forming.springback.curves import TRIANGLES
+    from planner.processes.forming.plan.process_plan import lay_all
+    from planner.processes.forming.plan.springback import forecast, released
+    from planner.processes.forming.plan.springback.curves import TRIANGLES
 
     if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
         what = f"{request.output.name}: a page is .html, a table .csv; name it so"
@@ -127,7 +127,7 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
         shown = {**released.maps(work, laid, found, ways), **forecast.exhibits(found)} if page else {}
         write_output(request.output, _page(problem, work, shown) if page else _csv(found))
     if request.curves is not None:
-        from planner.forming.springback.levels import file_data
+        from planner.processes.forming.plan.springback.levels import file_data
 
         data = file_data(problem.name, problem.digest, work, laid, found)
         write_output(request.curves, json.dumps(data, separators=(",", ":")) + "\n")
@@ -144,8 +144,8 @@ def _write_shifts(
     path: Path, problem: Problem, job: FormingJob, found: Sequence[PassSpringback], laid: Sequence[Any]
 ) -> tuple[Way, ...]:
     """Write the springback file; say what the slope leaves of the forecast. The ways with their shifts."""
-    from planner.forming.operation import Springback as Section
-    from planner.forming.springback import compensation, compensation_file
+    from planner.processes.forming.plan.operation import Springback as Section
+    from planner.processes.forming.plan.springback import compensation, compensation_file
 
     compensation.require_mode(job.planned)
     limits = job.operation.springback or Section(file=path)
@@ -180,8 +180,8 @@ def _write_shifts(
 def forming_job(problem: Problem, name: str | None) -> FormingJob:
     """The forming operation of a problem of that name, or the first. Raises ``TandemError``
     (forming.no_sheet) where there is none."""
-    from planner.forming.job import FormingJob
     from planner.processes import registry
+    from planner.processes.forming.plan.job import FormingJob
 
     jobs = [job for job in registry.jobs(problem) if isinstance(job, FormingJob)]
     chosen = [job for job in jobs if name in (None, job.operation.name)]
@@ -195,7 +195,7 @@ def forming_job(problem: Problem, name: str | None) -> FormingJob:
 def _settled(work: Work, control: Sequence[tuple[ControlPoints, list[Point]]]) -> int:
     """Triangles with which some points of each pass, from its first level to its last, come back as with more
     of them."""
-    from planner.forming.springback import forecast
+    from planner.processes.forming.plan.springback import forecast
 
     asked = forecast.some_points(control)
     triangles, found = LEAST_WRITTEN, _solved(work, asked, LEAST_WRITTEN, forecast.ESTIMATE_SHARES)
@@ -218,9 +218,9 @@ def _solved(
 ) -> list[Curve]:
     """The curves of all points, on all cores: each process works out every so manieth. At ``shares`` of the
     expected forces, or at those of a whole curve."""
-    from planner.forming.springback.curves import LOAD_SHARES
-    from planner.forming.springback.forecast import curves
     from planner.pipeline import WARM_UP
+    from planner.processes.forming.plan.springback.curves import LOAD_SHARES
+    from planner.processes.forming.plan.springback.forecast import curves
     from planner.runtime.second_process import SecondProcess
 
     loads = LOAD_SHARES if shares is None else shares
@@ -239,7 +239,7 @@ def _solved(
 
 
 def _print(work: Work, found: Sequence[PassSpringback], seconds: float) -> None:
-    from planner.forming.springback.forecast import forces_told
+    from planner.processes.forming.plan.springback.forecast import forces_told
 
     count = sum(len(one.curves) for one in found)
     table = Table("pass", "z mm", "points", "wall deg", "force N", "springback mm")
@@ -285,7 +285,7 @@ def _span(values: Any, digits: int) -> str:
 
 
 def _csv(found: Sequence[PassSpringback]) -> str:
-    from planner.forming.springback.forecast import rows
+    from planner.processes.forming.plan.springback.forecast import rows
 
     text, data = io.StringIO(), rows(found)
     table = csv.writer(text, lineterminator="\n")

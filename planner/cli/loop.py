@@ -174,10 +174,10 @@ def _deeper(folder: Path, plan: LoopPlan, number: int) -> tuple[str, FloatArray 
     level; none where there is none. Raises `TandemError`: forming.loop_curves where the path of the curves is
     another, what files are refused for."""
     from planner import pipeline
-    from planner.forming.job import FormingJob
-    from planner.forming.process_plan import lay_all
-    from planner.forming.springback.levels import shifts
     from planner.processes import registry
+    from planner.processes.forming.plan.job import FormingJob
+    from planner.processes.forming.plan.process_plan import lay_all
+    from planner.processes.forming.plan.springback.levels import shifts
 
     whole = pipeline.load_result(folder)
     if all(getattr(one, "springback", None) is None for one in whole.operations):

@@ -40,10 +40,10 @@ def write_level(
     the level's operation or path is refused for, ``output.folder``.
     """
     from planner import pipeline
-    from planner.forming.job import FormingJob
-    from planner.forming.level import alone, pass_of
-    from planner.forming.springback import compensation_file, level_file
     from planner.processes import registry
+    from planner.processes.forming.plan.job import FormingJob
+    from planner.processes.forming.plan.level import alone, pass_of
+    from planner.processes.forming.plan.springback import compensation_file, level_file
     from planner.reading.problem import build
 
     if path.suffix.lower() not in (".yaml", ".yml"):

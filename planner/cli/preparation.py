@@ -25,10 +25,10 @@ from planner.issues import Issue, TandemError
 
 if TYPE_CHECKING:
     from planner.catalogue.materials import Foam
-    from planner.forming.features.tree import Feature, FeatureTree, OrderStep
     from planner.geometry.arrays import Mesh
     from planner.hotwire.kerf.calibration import CutFile, FitReport
     from planner.hotwire.kerf.width import KerfEstimate
+    from planner.processes.forming.plan.features.tree import Feature, FeatureTree, OrderStep
     from planner.shopfloor.align.probing import ProbedPoints
     from planner.shopfloor.align.rigid_fit import Alignment
 
@@ -317,10 +317,10 @@ class Features:
 def run_features(request: Features) -> tuple[Issue, ...]:
     """Print the tree, write what is asked for; notes and warnings come back. Raises `TandemError`."""
     from planner.catalogue.robots import bundled
-    from planner.forming.features import tree as feature_tree
-    from planner.forming.features.tree import LEAST_BUMP, build
     from planner.geometry.arrays import Mesh
     from planner.geometry.mesh_files import read_mesh
+    from planner.processes.forming.plan.features import tree as feature_tree
+    from planner.processes.forming.plan.features.tree import LEAST_BUMP, build
     from planner.reading.sheet import smooth_face
 
     if request.output is not None and request.output.suffix.lower() not in OUTPUT_SUFFIXES:
@@ -378,9 +378,9 @@ def _row(tree: FeatureTree, mesh: Mesh, feature: Feature) -> dict[str, Any]:
     import numpy as np
     from shapely import Polygon
 
-    from planner.forming.features.pass_shape import alone
-    from planner.forming.sheet_mechanics import steepest
     from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
+    from planner.processes.forming.plan.features.pass_shape import alone
+    from planner.processes.forming.plan.sheet_mechanics import steepest
 
     face = alone(mesh, tree, feature.id, 0.0)
     triangles = TriangleMesh(face.vertices, face.faces)

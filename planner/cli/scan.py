@@ -109,9 +109,9 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     """Register, measure, adjust, print and write; warnings come back. Raises `TandemError`."""
     from planner import pipeline
     from planner.cli.forming import forming_job
-    from planner.forming.operation import Springback
-    from planner.forming.process_plan import lay_all
-    from planner.forming.springback.compensation_file import belongs_to
+    from planner.processes.forming.plan.operation import Springback
+    from planner.processes.forming.plan.process_plan import lay_all
+    from planner.processes.forming.plan.springback.compensation_file import belongs_to
     from planner.shopfloor.scan import adjustment, deviation, freedoms
 
     _require_suffix(request.output, (".yaml", ".yml"), "output")
@@ -252,7 +252,7 @@ def _rounds(made: Sequence[Adjusted]) -> dict[str, Any]:
     """What the part was off and what is foretold of the next one, on one scale, and what tools do for it."""
     import numpy as np
 
-    from planner.forming.springback.compensation import exhibit
+    from planner.processes.forming.plan.springback.compensation import exhibit
 
     points, before, foretold = (
         np.concatenate([getattr(one, name) for one in made if one.seen])

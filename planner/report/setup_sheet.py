@@ -12,7 +12,6 @@ import numpy as np
 
 from planner.cell import support
 from planner.claims.claim import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
-from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
@@ -25,6 +24,7 @@ from planner.problem import (
     Turntable,
     torch_signals,
 )
+from planner.processes.forming.claims import SinksHolder
 from planner.report import axes_sheet, exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts

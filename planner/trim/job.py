@@ -22,12 +22,12 @@ import numpy as np
 import shapely
 
 from planner.claims.claim import Claim
-from planner.forming.features.tree import LEAST_BUMP, build
-from planner.forming.stages import formed_sheet, shown
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Formed, Hole
+from planner.processes.forming.plan.features.tree import LEAST_BUMP, build
+from planner.processes.forming.plan.stages import formed_sheet, shown
 from planner.reading import sheet as sheet_file
 from planner.targets import Job, Targets
 from planner.trim import check

@@ -9,11 +9,11 @@ import numpy as np
 
 from planner.claims import vocabulary
 from planner.claims.claim import Claim
-from planner.forming.job import poses
 from planner.geometry.arrays import FloatArray, from_parts
 from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
+from planner.processes.forming.plan.job import poses
 from planner.targets import Action, Rounding, ScrewFreedom, Targets
 from planner.trim.claims import told
 from planner.trim.cutting import Cutting, Trimmer

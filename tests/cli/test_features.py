@@ -16,7 +16,7 @@ from planner.cli.preparation import Features, run_features
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import TandemError
-from tests.forming.nests import dome, frustum, revolved, sheet
+from tests.processes.forming.plan.nests import dome, frustum, revolved, sheet
 
 PROFILE = [(60, 0), (50, 0), (44, -10), (36, -10), (20, 4), (0, 4)]
 

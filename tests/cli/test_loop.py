@@ -19,15 +19,15 @@ from planner import pipeline
 from planner.cli import forming
 from planner.cli.forming import Springback, run_springback
 from planner.cli.loop import LawOptions, NextLoop, SimulateLoop, run_next_loop, run_simulate_loop
-from planner.forming.job import FormingJob
-from planner.forming.springback import forecast
-from planner.forming.springback.curves import Curve, Point
 from planner.issues import TandemError
 from planner.loops.loop_plan import read_plan
 from planner.loops.next_loop import springback
 from planner.processes import registry
+from planner.processes.forming.plan.job import FormingJob
+from planner.processes.forming.plan.springback import forecast
+from planner.processes.forming.plan.springback.curves import Curve, Point
 from tests import small_forming
-from tests.forming.springback import springback_files
+from tests.processes.forming.plan.springback import springback_files
 from tests.remedies.advice import said
 
 

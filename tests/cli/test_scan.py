@@ -27,7 +27,7 @@ from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.rules import springback
 from tests import small_forming
-from tests.forming.springback import springback_files as files
+from tests.processes.forming.plan.springback import springback_files as files
 from tests.shopfloor.scan.made_scan import made_scan, write_marks, write_ply
 from tests.test_whole_forming import UPRIGHT
 

@@ -12,13 +12,13 @@ import shapely
 import trimesh
 
 from planner import pipeline
-from planner.forming.features.tree import build
 from planner.geometry.arrays import Mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Severity, TandemError
 from planner.problem import Problem
+from planner.processes.forming.plan.features.tree import build
 from tests import small_forming
-from tests.forming import nests
+from tests.processes.forming.plan import nests
 from tests.refusals import change, codes, refused
 
 SHEET_FIELDS = [

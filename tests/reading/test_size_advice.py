@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from planner import pipeline
-from planner.forming.support.clearance import wider_mm
 from planner.issues import Issue, Remedy, TandemError
+from planner.processes.forming.plan.support.clearance import wider_mm
 from planner.reading import size_advice
 from planner.reading.strict_yaml import Document
 from tests import small_forming

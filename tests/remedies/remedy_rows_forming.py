@@ -11,16 +11,16 @@ import numpy as np
 import shapely
 
 from planner.catalogue.materials import sheet_metal
-from planner.forming import sheet_mechanics
-from planner.forming.features import tree
-from planner.forming.paths import adsif_response, contact_path
-from planner.forming.paths.spiral import PathOptions
 from planner.geometry.arrays import Mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue
+from planner.processes.forming.plan import sheet_mechanics
+from planner.processes.forming.plan.features import tree
+from planner.processes.forming.plan.paths import adsif_response, contact_path
+from planner.processes.forming.plan.paths.spiral import PathOptions
 from tests import small_forming
-from tests.forming import shapes
-from tests.forming.paths.path_faces import bowl
+from tests.processes.forming.plan import shapes
+from tests.processes.forming.plan.paths.path_faces import bowl
 from tests.refusals import change
 from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import DISH, SPIF, Row, Yaml, exported, found, lay

@@ -13,12 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims.forming import FormingFeed, FormsInOrder, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.claims.vocabulary import Handshake, OperatorDialogue, Segment, Sentence, question_step
 from planner.geometry.arrays import from_parts, from_rpy
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
+from planner.processes.forming.claims import (
+    FormingFeed,
+    FormsInOrder,
+    FormsPart,
+    FormsSheet,
+    SheetState,
+    ToolGap,
+)
 from planner.targets import Action
 from planner.tooling import ball_tool, profile
 from tests import line_ends

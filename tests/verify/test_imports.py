@@ -35,7 +35,7 @@ NEVER = (
     "planner.motion",
     "planner.cell.kinematics",
     "planner.hotwire",
-    "planner.forming",
+    "planner.processes.forming.plan",
     "planner.milling",
     "planner.post",
     "planner.report",

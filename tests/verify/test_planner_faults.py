@@ -9,7 +9,7 @@ from typing import Final
 import pytest
 import yaml
 
-from planner.forming.operation import Forming
+from planner.processes.forming.plan.operation import Forming
 from planner.processes.registry import PROCESSES
 from tests.verify import (
     faults_of_motion,

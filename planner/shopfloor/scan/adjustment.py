@@ -21,11 +21,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.forming.contact import Pass, ToolPath
-from planner.forming.operation import Springback
-from planner.forming.process_plan import Work
-from planner.forming.springback.compensation import Way, at_targets, require_mode, smoothed, way_of
-from planner.forming.springback.compensation_file import (
+from planner.geometry.arrays import BoolArray, FloatArray, unit
+from planner.geometry.curves import arc_length
+from planner.geometry.mesh_queries import Nearness
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+from planner.processes.forming.plan.contact import Pass, ToolPath
+from planner.processes.forming.plan.operation import Springback
+from planner.processes.forming.plan.process_plan import Work
+from planner.processes.forming.plan.springback.compensation import (
+    Way,
+    at_targets,
+    require_mode,
+    smoothed,
+    way_of,
+)
+from planner.processes.forming.plan.springback.compensation_file import (
     VERSIONS,
     Compensation,
     passes_text,
@@ -33,11 +44,6 @@ from planner.forming.springback.compensation_file import (
     sealed,
     way_lines,
 )
-from planner.geometry.arrays import BoolArray, FloatArray, unit
-from planner.geometry.curves import arc_length
-from planner.geometry.mesh_queries import Nearness
-from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
 from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.scan import forming_rate
 from planner.shopfloor.scan.cloud import Cloud

@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
-from planner.forming.sheet_mechanics import OF_SCALLOP
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
+from planner.processes.forming.plan.sheet_mechanics import OF_SCALLOP
 
 UP: Final = 2.5 * MM
 """The place above is so far up the wall [m]: beyond the points that say what is off at one place."""

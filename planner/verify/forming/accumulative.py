@@ -16,8 +16,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.forming import FormsByTable
 from planner.geometry.arrays import FloatArray, IntArray, dots, lengths
+from planner.processes.forming.claims import FormsByTable
 from planner.verify.context import Context
 from planner.verify.forming.face import Face
 from planner.verify.forming.shapes import Overhead, spread_over

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from planner.claims.claim import Claim
-from planner.claims.forming import FormsInOrder, FormsLevel, FormsSheet
 from planner.geometry.units import MM
 from planner.problem import Problem
+from planner.processes.forming.claims import FormsInOrder, FormsLevel, FormsSheet
 from planner.verify.forming import springback_file
 from planner.verify.forming.springback_file import GivenLevel
 

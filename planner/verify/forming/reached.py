@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.forming import FormsSheet
 from planner.geometry.arrays import FloatArray, IntArray, lengths
+from planner.processes.forming.claims import FormsSheet
 from planner.verify.forming.state import Formed, Track
 from planner.verify.forming.swept import walls
 from planner.verify.wire.cut_surface import areas, divided

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from planner.claims.claim import Claim
-from planner.claims.forming import ComesBack, FormsSheet
 from planner.geometry.arrays import FloatArray
 from planner.problem import Problem
+from planner.processes.forming.claims import ComesBack, FormsSheet
 from planner.verify.forming import springback_file
 from planner.verify.forming.level import OneLevel
 from planner.verify.forming.springback_file import Deeper, Given

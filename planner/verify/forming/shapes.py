@@ -18,9 +18,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from planner.claims.claim import Claim
-from planner.claims.forming import FormsByTable, FormsInOrder, FormsPart, FormsSheet
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.mesh import closest_on_triangles
+from planner.processes.forming.claims import FormsByTable, FormsInOrder, FormsPart, FormsSheet
 
 _PLASTIC_STEPS = (0.7548776662466927, 0.5698402909980532)
 """Steps of the plastic number's powers, whose multiples fill a square evenly (Roberts 2018)."""

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.forming import FormsSheet
 from planner.geometry.arrays import FloatArray, IntArray
+from planner.processes.forming.claims import FormsSheet
 from planner.verify.forming.face import Face
 from planner.verify.forming.springback_file import Control, Way
 

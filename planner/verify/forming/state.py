@@ -14,9 +14,9 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from planner.claims.claim import Claim
-from planner.claims.forming import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse, lengths
+from planner.processes.forming.claims import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.runtime.executor import SERIAL, Executor
 from planner.verify.context import Context
 from planner.verify.forming.face import Face, Nearest, left_by

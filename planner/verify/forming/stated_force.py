@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.claims.forming import FormsSheet
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
+from planner.processes.forming.claims import FormsSheet
 
 LARGEST = 20_000_000
 """Bytes of a file at most."""

@@ -15,10 +15,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.forming import FormsSheet
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, face_normals
 from planner.geometry.units import MM
+from planner.processes.forming.claims import FormsSheet
 from planner.verify.forming.face import Face, apart, least_gap
 from planner.verify.forming.state import ByRow, Formed, Forming
 from planner.verify.replay.motion import Runs

@@ -19,10 +19,10 @@ import numpy as np
 from planner.cell import clearance
 from planner.cell.clearance import Against, Pairs, edge
 from planner.cell.plant import CellModel
-from planner.claims.forming import ToolGap
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
 from planner.issues import Issue, TandemError
 from planner.problem import Settings
+from planner.processes.forming.claims import ToolGap
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.replay.clearance_samples import (
     DISTANCE_PRECISION,

@@ -14,10 +14,10 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from planner.claims import vocabulary
-from planner.claims.forming import SinksHolder
 from planner.geometry.arrays import inverse
 from planner.issues import Issue
 from planner.problem import Controller
+from planner.processes.forming.claims import SinksHolder
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import CONTROLLER, TaskText, controllers
 from planner.verify.outer_axes import OuterAxis, outer_axes

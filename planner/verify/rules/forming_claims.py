@@ -14,7 +14,11 @@ import shapely
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import Claim
-from planner.claims.forming import (
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.mesh import TriangleMesh, corner_normals
+from planner.issues import Issue
+from planner.processes.forming.claims import (
     FollowsOpposite,
     FormingFeed,
     FormsByTable,
@@ -25,10 +29,6 @@ from planner.claims.forming import (
     SupportsBorder,
     ToolGap,
 )
-from planner.claims.vocabulary import Segment
-from planner.geometry.arrays import BoolArray, FloatArray
-from planner.geometry.mesh import TriangleMesh, corner_normals
-from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm, rule
 from planner.verify.forming import accumulative
 from planner.verify.forming.face import CREASE_ANGLE

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.claims.forming import FormsLevel, FormsSheet
 from planner.geometry.units import MM
 from planner.issues import Issue
+from planner.processes.forming.claims import FormsLevel, FormsSheet
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.forming import loop_walls, springback_file
 from planner.verify.forming.level import OneLevel

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from planner.claims.forming import FormsPart, FormsSheet
 from planner.geometry.arrays import corners, transform
 from planner.issues import Issue
+from planner.processes.forming.claims import FormsPart, FormsSheet
 from planner.verify.context import Context, Outcome, mm, rule
 from planner.verify.files.sheets import SLOPE_STEP, scatter, together, tolerance_of
 from planner.verify.forming.shapes import Feature, PartShapes, Shape, in_order

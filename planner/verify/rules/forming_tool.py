@@ -13,10 +13,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.claims.forming import FormingFeed, FormsInOrder, FormsSheet, SheetState, SinksHolder, ToolsLean
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue
+from planner.processes.forming.claims import (
+    FormingFeed,
+    FormsInOrder,
+    FormsSheet,
+    SheetState,
+    SinksHolder,
+    ToolsLean,
+)
 from planner.runtime.executor import Executor
 from planner.runtime.memory import release_memory
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule

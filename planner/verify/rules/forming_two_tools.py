@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.forming import FollowsOpposite, FormsByTable, SupportsBorder, ToolGap
 from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.issues import Issue
+from planner.processes.forming.claims import FollowsOpposite, FormsByTable, SupportsBorder, ToolGap
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.forming.accumulative import Wanted, Way, wanted_conditions
 from planner.verify.forming.face import Face, Nearest

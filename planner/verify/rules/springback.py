@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.forming import ComesBack, FormsPart, FormsSheet
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.units import MM
 from planner.issues import Issue
+from planner.processes.forming.claims import ComesBack, FormsPart, FormsSheet
 from planner.tooling import FormingTool
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.forming import (

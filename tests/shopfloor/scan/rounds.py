@@ -13,23 +13,23 @@ import shapely
 from scipy.interpolate import RegularGridInterpolator
 
 from planner import pipeline
-from planner.forming.contact import ToolPath
-from planner.forming.job import FormingJob
-from planner.forming.operation import Springback
-from planner.forming.process_plan import lay_all
-from planner.forming.springback.compensation import Way
-from planner.forming.springback.compensation_file import Compensation
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.curves import along, arc_length
 from planner.geometry.units import MM
 from planner.loops.plant import PlantFile, Sheets
 from planner.processes import registry
+from planner.processes.forming.plan.contact import ToolPath
+from planner.processes.forming.plan.job import FormingJob
+from planner.processes.forming.plan.operation import Springback
+from planner.processes.forming.plan.process_plan import lay_all
+from planner.processes.forming.plan.springback.compensation import Way
+from planner.processes.forming.plan.springback.compensation_file import Compensation
 from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.scan import adjustment, deviation
 from planner.shopfloor.scan.adjustment import Adjusted
 from planner.shopfloor.scan.cloud import Cloud
 from tests import small_forming
-from tests.forming.shapes import pit, revolved
+from tests.processes.forming.plan.shapes import pit, revolved
 from tests.shopfloor.scan.made_scan import made_scan
 
 TURN = 2.0 * np.pi * np.arange(24) / 24

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.forming.job import FormingJob
-from planner.forming.operation import Springback
-from planner.forming.process_plan import lay_all
-from planner.forming.springback.compensation import at_targets
-from planner.forming.springback.compensation_file import Compensation
 from planner.geometry.arrays import FloatArray, transform
 from planner.geometry.curves import along, arc_length
 from planner.geometry.units import MM
 from planner.issues import TandemError
+from planner.processes.forming.plan.job import FormingJob
+from planner.processes.forming.plan.operation import Springback
+from planner.processes.forming.plan.process_plan import lay_all
+from planner.processes.forming.plan.springback.compensation import at_targets
+from planner.processes.forming.plan.springback.compensation_file import Compensation
 from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.scan import adjustment, deviation, forming_rate
 from planner.shopfloor.scan.cloud import Cloud

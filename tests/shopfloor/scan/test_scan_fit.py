@@ -21,7 +21,7 @@ from planner.shopfloor.scan import cloud, deviation, freedoms
 from planner.shopfloor.scan.cloud import Cloud
 from planner.verify.files.meshes import read_points
 from tests import small_forming
-from tests.forming.shapes import pit
+from tests.processes.forming.plan.shapes import pit
 from tests.shopfloor.scan.made_scan import Field, MadeScan, made_scan, write_ply
 
 SIZE = np.array([160.0, 160.0, 1.0]) * MM

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import shapely
 
-from planner.forming.check import nearest_centres, unreached
-from planner.forming.contact import Face as PlannersFace
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
+from planner.processes.forming.plan.check import nearest_centres, unreached
+from planner.processes.forming.plan.contact import Face as PlannersFace
 from planner.verify.forming import face as forming_face
 from planner.verify.forming.face import Face, least_gap, left_by
-from tests.forming.shapes import cone, made, pit, revolved
+from tests.processes.forming.plan.shapes import cone, made, pit, revolved
 
 BALL = 0.005
 

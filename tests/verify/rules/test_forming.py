@@ -8,8 +8,8 @@ import functools
 import numpy as np
 import pytest
 
-from planner.claims.forming import FollowsOpposite, SupportsBorder, ToolsLean
 from planner.claims.vocabulary import Segment
+from planner.processes.forming.claims import FollowsOpposite, SupportsBorder, ToolsLean
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
 from tests.verify.provers import broken

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner.claims.forming import FormsByTable
-from planner.forming.paths.adsif_response import BUILT_IN_FILE
 from planner.geometry.arrays import Mesh
 from planner.motion import solve
 from planner.post import write
 from planner.processes import registry
+from planner.processes.forming.claims import FormsByTable
+from planner.processes.forming.plan.paths.adsif_response import BUILT_IN_FILE
 from planner.verify.forming import accumulative
 from planner.verify.prove import Prover
 from tests import line_ends, small_forming
-from tests.forming import shapes
+from tests.processes.forming.plan import shapes
 from tests.verify.provers import broken
 from tests.verify.rapid_edits import change, field, moves, segment, tilted
 

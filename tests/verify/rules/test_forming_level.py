@@ -13,19 +13,19 @@ import pytest
 import shapely
 
 import planner
-from planner.claims.forming import FormsLevel
-from planner.forming import level as one_level
 from planner.geometry.units import MM
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.processes import registry
+from planner.processes.forming.claims import FormsLevel
+from planner.processes.forming.plan import level as one_level
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.rules import forming_level, forming_tool, forming_two_tools
 from tests import small_forming
-from tests.forming import shapes
-from tests.forming.springback import level_files
-from tests.forming.springback import springback_files as files
+from tests.processes.forming.plan import shapes
+from tests.processes.forming.plan.springback import level_files
+from tests.processes.forming.plan.springback import springback_files as files
 from tests.test_whole_forming import UPRIGHT
 from tests.verify import planner_faults
 

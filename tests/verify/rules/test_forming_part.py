@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner.claims.forming import FormsPart
 from planner.claims.vocabulary import Segment
-from planner.forming.features import tree
 from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.processes import registry
+from planner.processes.forming.claims import FormsPart
+from planner.processes.forming.plan.features import tree
 from planner.verify.context import Context
 from planner.verify.forming.shapes import Shape
 from planner.verify.forming.state import Forming
 from planner.verify.rules.forming_claims import forming_claims
 from planner.verify.rules.forming_part import forming_part
 from tests import small_forming
-from tests.forming import nests, shapes
+from tests.processes.forming.plan import nests, shapes
 from tests.verify import forming_job
 
 PART, CLAIMS = "verify.forming_part", "verify.forming_claims"
@@ -134,11 +134,11 @@ def gaps(function):
     return patch
 
 
-PASSES = "planner.forming.process_plan.passes"
-BY_CORNER = "planner.forming.claims.by_corner"
-VIRGIN = "planner.forming.stages.on_virgin_sheet"
-BORDER = "planner.forming.claims.border_curve"
-STATES = "planner.forming.claims.states"
+PASSES = "planner.processes.forming.plan.process_plan.passes"
+BY_CORNER = "planner.processes.forming.plan.claims.by_corner"
+VIRGIN = "planner.processes.forming.plan.stages.on_virgin_sheet"
+BORDER = "planner.processes.forming.plan.claims.border_curve"
+STATES = "planner.processes.forming.plan.claims.states"
 FAULTS = {
     "aside by 0.2 mm": ("virgin", PASSES, moved([2e-4, 0.0, 0.0]), PART),
     "mirrored": ("virgin", PASSES, turned([[-1, 0, 0], [0, 1, 0], [0, 0, 1]]), PART),
@@ -154,7 +154,7 @@ FAULTS = {
     "outer features first": ("virgin", VIRGIN, lambda _: tree.in_place, PART),
     "shapes too far apart": (
         "steep",
-        "planner.forming.passes.pass_angles",
+        "planner.processes.forming.plan.passes.pass_angles",
         lambda _: lambda angle, *_: (angle - np.deg2rad(30.0), angle),
         PART,
     ),
@@ -172,7 +172,7 @@ FAULTS = {
     "half a border": ("border", BORDER, results(lambda ring: ring[: len(ring) // 2]), CLAIMS),
     "ridges twice as high": (
         "dish",
-        "planner.forming.claims.scallop",
+        "planner.processes.forming.plan.claims.scallop",
         results(lambda height: 2.0 * height),
         CLAIMS,
     ),

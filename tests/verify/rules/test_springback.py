@@ -17,18 +17,18 @@ import pytest
 import yaml
 
 import planner
-from planner.claims.forming import ComesBack
 from planner.cli.forming import Springback, run_springback
 from planner.geometry.units import MM
 from planner.pipeline import Outcome
 from planner.processes import registry
+from planner.processes.forming.claims import ComesBack
 from planner.verify.context import Context
 from planner.verify.forming import elastic, released, springback_bounds, springback_file
 from planner.verify.forming.state import Forming
 from planner.verify.rules import forming_tool, forming_two_tools, springback
 from tests import small_forming
-from tests.forming.springback import springback_files as files
-from tests.forming.test_stated_force import TABLE, by_level
+from tests.processes.forming.plan.springback import springback_files as files
+from tests.processes.forming.plan.test_stated_force import TABLE, by_level
 from tests.test_whole_forming import UPRIGHT
 from tests.verify import planner_faults
 
@@ -468,9 +468,9 @@ def test_between_a_flat_level_and_a_wall_shifts_are_those_of_the_force_there() -
 def test_the_sheet_of_the_proof_comes_back_as_trials_say(tmp_path: Path) -> None:
     """A cone of 45 degrees, top radius 50 mm, 20 mm deep, of 1 mm, 600 N at its floor's edge: 4.750
     mm by another shell code and CalculiX where the sheet slides, 3.29 where its edge does not move."""
-    from planner.claims.forming import FormsPart
+    from planner.processes.forming.claims import FormsPart
     from planner.verify.forming.shapes import PartShapes, in_order
-    from tests.forming import shapes
+    from tests.processes.forming.plan import shapes
 
     data = small_forming.problem("spif", force_n=600.0)
     data["sheet"] = {"size_mm": [320, 320], "thickness_mm": 1, "metal": "aa5754_o", "opening_mm": [250, 250]}

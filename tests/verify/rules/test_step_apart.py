@@ -9,8 +9,8 @@ import pytest
 
 from planner.cell import clearance
 from planner.claims.claim import HoldsStock
-from planner.claims.forming import SheetState, ToolGap
 from planner.claims.vocabulary import Segment
+from planner.processes.forming.claims import SheetState, ToolGap
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import clearance as clearance_rules
