@@ -11,8 +11,8 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import least_squares
 
 from planner.geometry.arrays import FloatArray
-from planner.hotwire.elastica import heavy
-from tests.hotwire.elastica import weightless
+from planner.processes.hotwire.plan.elastica import heavy
+from tests.processes.hotwire.plan.elastica import weightless
 
 SEED = 20
 BATCH = 200

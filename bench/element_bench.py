@@ -28,7 +28,7 @@ from planner.element.panel_faces import CutWire
 from planner.element.surface import stand
 from planner.geometry.arrays import BoolArray
 from planner.geometry.units import MM
-from planner.hotwire import wire
+from planner.processes.hotwire.plan import wire
 from tests.element.walls import ROOT, wall
 
 DOME: Final = ROOT / "problems" / "dome_267"

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from planner.catalogue import materials
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
-from planner.hotwire.kerf import calibration, models, test_cuts, width
-from planner.hotwire.kerf.test_cuts import Cuts, CutTable
+from planner.processes.hotwire.plan.kerf import calibration, models, test_cuts, width
+from planner.processes.hotwire.plan.kerf.test_cuts import Cuts, CutTable
 
 Masks = dict[str, NDArray[np.bool_]]
 Predictor = Callable[[Masks, str], FloatArray]

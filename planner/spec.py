@@ -29,11 +29,11 @@ from planner.catalogue.robots import bundled, data_dir
 from planner.files import is_file
 from planner.geometry.arrays import to_rpy
 from planner.geometry.units import DEG, MM
-from planner.hotwire import operation as hotwire
 from planner.issues import Issue, TandemError
 from planner.milling import operation as milling
 from planner.processes import registry
 from planner.processes.forming.plan import operation as forming
+from planner.processes.hotwire.plan import operation as hotwire
 from planner.reading import (
     axes,
     cell,

@@ -26,9 +26,9 @@ from planner.issues import Issue, TandemError
 if TYPE_CHECKING:
     from planner.catalogue.materials import Foam
     from planner.geometry.arrays import Mesh
-    from planner.hotwire.kerf.calibration import CutFile, FitReport
-    from planner.hotwire.kerf.width import KerfEstimate
     from planner.processes.forming.plan.features.tree import Feature, FeatureTree, OrderStep
+    from planner.processes.hotwire.plan.kerf.calibration import CutFile, FitReport
+    from planner.processes.hotwire.plan.kerf.width import KerfEstimate
     from planner.shopfloor.align.probing import ProbedPoints
     from planner.shopfloor.align.rigid_fit import Alignment
 
@@ -127,7 +127,7 @@ def run_kerf(action: Fit | Width | Speed | Power) -> None:
 
 
 def _width_at(question: Width | Speed | Power) -> None:
-    from planner.hotwire.kerf import width as kerf
+    from planner.processes.hotwire.plan.kerf import width as kerf
 
     foam = _foam(question.foam)
     wire = kerf.HotWire(question.wire_diameter_mm * MM, question.wire_length_mm * MM)
@@ -144,7 +144,7 @@ def _width_at(question: Width | Speed | Power) -> None:
 
 
 def _print(estimate: KerfEstimate, power: float, speed: float) -> None:
-    from planner.hotwire.kerf.width import explain
+    from planner.processes.hotwire.plan.kerf.width import explain
 
     low, middle, high = (float(value) / MM for value in (estimate.low, estimate.width, estimate.high))
     out.print(f"kerf {middle:.2f} mm ({low:.2f} to {high:.2f} mm in 9 of 10 cuts)")
@@ -161,7 +161,7 @@ def _foam(text: str) -> Foam:
 
 
 def _fit(request: Fit) -> None:
-    from planner.hotwire.kerf import calibration
+    from planner.processes.hotwire.plan.kerf import calibration
     from planner.reading import materials as material_file
 
     given: dict[str, object] = {
@@ -194,7 +194,7 @@ def _metres(name: str, value_mm: float) -> float:
 
 
 def _print_fit(report: FitReport, read: CutFile, path: Path) -> None:
-    from planner.hotwire.kerf import models as kerf_models
+    from planner.processes.hotwire.plan.kerf import models as kerf_models
 
     fit, size = report.fit, abs(report.residuals[report.kept]) / MM
     half = float(kerf_models.margin(fit, fit.mean_ideal)) / MM

@@ -28,9 +28,9 @@ from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT, Shape
 from planner.geometry.ruled_approximation import Patch
 from planner.geometry.ruled_wall import RuledWall, ruled_wall
 from planner.geometry.units import MM
-from planner.hotwire import wire as hot_wires
-from planner.hotwire.operation import Straight
 from planner.issues import Issue, TandemError
+from planner.processes.hotwire.plan import wire as hot_wires
+from planner.processes.hotwire.plan.operation import Straight
 from planner.reading import strict_yaml
 from planner.reading.cell import BowFile, RackFile
 from planner.reading.materials import WireFile, WiresFile, wires_at_hand

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.element.surface import Profile
 from planner.geometry.arrays import BoolArray, FloatArray
-from planner.hotwire.elastica.fit import CurveFit, fit_curves
+from planner.processes.hotwire.plan.elastica.fit import CurveFit, fit_curves
 
 SECTION_POINTS = 21
 """Points of an interval that a fit sees."""

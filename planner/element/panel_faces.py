@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, vertex_normals
-from planner.hotwire.elastic.family import (
+from planner.processes.hotwire.plan.elastic.family import (
     FamilyFit,
     cut_sections,
     fit_family,
@@ -22,9 +22,9 @@ from planner.hotwire.elastic.family import (
     make_spine,
     section_places,
 )
-from planner.hotwire.elastica.fit import CurveFit
-from planner.hotwire.elastica.heavy import HeavyShape, end_sensitivity, from_middle
-from planner.hotwire.wire import Wire
+from planner.processes.hotwire.plan.elastica.fit import CurveFit
+from planner.processes.hotwire.plan.elastica.heavy import HeavyShape, end_sensitivity, from_middle
+from planner.processes.hotwire.plan.wire import Wire
 
 ON_A_LINE: Final = 1e-6
 """A vertex nearer to a cut than this [m] is moved onto it."""

@@ -22,10 +22,10 @@ from planner.element.panel_faces import CutWire
 from planner.element.surface import stand
 from planner.geometry.arrays import transform
 from planner.geometry.guillotine import divide
-from planner.hotwire import wire as wires
-from planner.hotwire.elastic.family import cut_sections, make_spine
-from planner.hotwire.elastica.fit import fit_curves
 from planner.issues import Issue
+from planner.processes.hotwire.plan import wire as wires
+from planner.processes.hotwire.plan.elastic.family import cut_sections, make_spine
+from planner.processes.hotwire.plan.elastica.fit import fit_curves
 from tests.element.walls import height, slope, wall
 
 TOLERANCE = 1e-3

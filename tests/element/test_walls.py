@@ -23,9 +23,9 @@ from planner.element.boxes import most_even
 from planner.element.nested_output import nested_folder
 from planner.element.panel_box import hull_boxes
 from planner.element.puzzle import FILLET, lobe
-from planner.hotwire.operation import Straight
-from planner.hotwire.straight.job import StraightJob
 from planner.issues import Issue, TandemError
+from planner.processes.hotwire.plan.operation import Straight
+from planner.processes.hotwire.plan.straight.job import StraightJob
 from tests.element.walls import ROOT, refused
 
 PROBLEM = ROOT / "problems" / "ruled_wall_108"

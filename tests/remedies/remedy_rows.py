@@ -12,12 +12,12 @@ import yaml
 
 from planner import pipeline
 from planner.catalogue.materials import foam
-from planner.hotwire import wire
-from planner.hotwire.kerf import calibration
-from planner.hotwire.kerf import width as kerf_width
 from planner.issues import Issue, TandemError
 from planner.post import write as post
 from planner.processes import registry
+from planner.processes.hotwire.plan import wire
+from planner.processes.hotwire.plan.kerf import calibration
+from planner.processes.hotwire.plan.kerf import width as kerf_width
 from tests import small_forming, small_problem
 from tests.reading import test_grip_choice as test_gripping
 from tests.reading.part_specs import SQUARE, WING, outline

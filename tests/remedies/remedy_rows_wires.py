@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from planner.catalogue.materials import foams
-from planner.hotwire.elastic.job import ElasticJob
-from planner.hotwire.straight.job import StraightJob
 from planner.issues import Issue
-from tests.hotwire import foam_blocks, panels
-from tests.hotwire.foam_blocks import twisted
+from planner.processes.hotwire.plan.elastic.job import ElasticJob
+from planner.processes.hotwire.plan.straight.job import StraightJob
+from tests.processes.hotwire.plan import foam_blocks, panels
+from tests.processes.hotwire.plan.foam_blocks import twisted
 from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import CUT, Row, found, heat, lay
 

@@ -20,10 +20,10 @@ from planner.geometry import corner_rounding
 from planner.geometry.arrays import Shape, axis_ends, inverse, transform
 from planner.geometry.arrays import corners as hull
 from planner.geometry.units import MM
-from planner.hotwire.straight import job
 from planner.issues import TandemError
 from planner.problem import Problem
 from planner.processes import registry
+from planner.processes.hotwire.plan.straight import job
 from planner.reading import cell
 from planner.targets import lever
 from planner.tooling import (
@@ -46,8 +46,8 @@ from planner.tooling.holding_tools import OnFlange
 from planner.verify.prove import Prover
 from tests import small_forming
 from tests.cell.cells import BLOCK, alone
-from tests.hotwire import foam_blocks
 from tests.milling import small_mill
+from tests.processes.hotwire.plan import foam_blocks
 from tests.verify import straight_job
 from tests.verify.provers import broken
 

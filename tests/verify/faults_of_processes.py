@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.claims.claim import KerfCurve
-from planner.hotwire.straight.order import Lines
+from planner.processes.hotwire.plan.straight.order import Lines
 from planner.targets import Action, ScrewFreedom, Targets
 from tests.verify.planner_faults import Fault, always, fields, given, of, result, value
 

@@ -34,7 +34,7 @@ def proof_files() -> dict[str, Path]:
 NEVER = (
     "planner.motion",
     "planner.cell.kinematics",
-    "planner.hotwire",
+    "planner.processes.hotwire.plan",
     "planner.processes.forming.plan",
     "planner.milling",
     "planner.post",

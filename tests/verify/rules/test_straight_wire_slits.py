@@ -14,18 +14,18 @@ import yaml
 
 import planner
 from planner.claims.claim import CutsSurface
-from planner.hotwire.straight import cut as straight_cut
-from planner.hotwire.straight import job
-from planner.hotwire.straight.cut import Cut
-from planner.hotwire.straight.order import Lines
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
 from planner.processes import registry
+from planner.processes.hotwire.plan.straight import cut as straight_cut
+from planner.processes.hotwire.plan.straight import job
+from planner.processes.hotwire.plan.straight.cut import Cut
+from planner.processes.hotwire.plan.straight.order import Lines
 from planner.verify.prove import Prover
 from planner.verify.wire import walls
-from tests.hotwire import foam_blocks as blocks
-from tests.hotwire.straight.test_trimmed_block import PROBLEM
+from tests.processes.hotwire.plan import foam_blocks as blocks
+from tests.processes.hotwire.plan.straight.test_trimmed_block import PROBLEM
 
 RIM = [(-0.08, 0.02), (-0.08, 0.09), (0.08, 0.09), (0.08, 0.02)]
 STRIP = [(-0.08, 0.06), (0.08, 0.06)]

@@ -14,15 +14,15 @@ import shapely
 import planner
 from planner.claims.claim import FollowsRulings, KerfCurve
 from planner.claims.vocabulary import Segment
-from planner.hotwire.straight import cut
-from planner.hotwire.straight.offset import Beside
 from planner.problem import Problem
 from planner.processes import registry
+from planner.processes.hotwire.plan.straight import cut
+from planner.processes.hotwire.plan.straight.offset import Beside
 from planner.verify.prove import prove
 from planner.verify.result import CutFace
 from planner.verify.rules import cut_part
 from planner.verify.wire.cut_surface import unreached
-from tests.hotwire import foam_blocks as blocks
+from tests.processes.hotwire.plan import foam_blocks as blocks
 from tests.verify.rules.test_straight_wire_slits import RIM, problem
 
 HALF = 0.001
@@ -144,12 +144,12 @@ def test_what_a_planner_leaves_beside_that_is_caught(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(cut, "followed", short)
     for name in ("check_cut", "check_inner", "check_passed"):
-        monkeypatch.setattr("planner.hotwire.straight.job." + name, lambda *_: iter(()))
+        monkeypatch.setattr("planner.processes.hotwire.plan.straight.job." + name, lambda *_: iter(()))
     assert "verify.rulings" in {issue.code for issue in planner.plan(made).proof.issues}
 
 
 def test_more_than_may_stay_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.hotwire.straight.job.check_inner", lambda *_: iter(()))
+    monkeypatch.setattr("planner.processes.hotwire.plan.straight.job.check_inner", lambda *_: iter(()))
     rim = blocks.prism("rim", DOVETAIL, closed=True)
     outcome = planner.plan(problem(tmp_path, [rim], kerf_mm=2.0, shape_tol_mm=0.1, left_mm=0.2))
     assert {issue.code for issue in outcome.proof.issues} == {"verify.rulings"}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.hotwire.elastica.clamped import round_section, strip
+from planner.processes.hotwire.plan.elastica.clamped import round_section, strip
 from planner.verify.wire import rod_equilibrium
 from planner.verify.wire.rod import Rod, RodShape, follow
 from planner.verify.wire.rod_energy import Ends, exponential
-from tests.hotwire.elastica import weightless
+from tests.processes.hotwire.plan.elastica import weightless
 
 DOWN = np.array([0.0, 0.0, -1.0])
 LENGTH = 0.7

@@ -1,0 +1,1 @@
+"""Hot-wire cutting: bent wires between two arms, and straight wires in a bow."""

@@ -1,0 +1,349 @@
+"""Operations `elastic_wire` and `straight_wire` of a problem file, and what both say of the heat.
+
+Lengths are in mm, angles in degrees, speeds in mm/s. `HotWireOperation` has what both have in
+common: heat, speeds, power. `Heat` says how hot the wire is: by the slot's width, or by the power
+in a foam one knows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Final, Literal, Self
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from planner.catalogue.materials import Foam
+from planner.claims.claim import KerfCurve
+from planner.claims.vocabulary import fold
+from planner.geometry.units import MM
+from planner.issues import Issue, TandemError
+from planner.problem import Controller, Stock
+from planner.processes.hotwire.plan.kerf import width
+from planner.reading.materials import WireFile
+from planner.reading.strict_yaml import Angle, Far, Name, Strict
+
+AIR_FEED: Final = 0.1
+"""Upper limit of the wire's speed in the air [m/s], if nothing else is stated: faster, a hot wire cools and
+swings."""
+AIR_STEP: Final = 0.012
+"""Largest move [m] of any point of the wire between targets in the air."""
+KERF_SPEEDS: Final = (1e-3, 50e-3)
+"""Speeds [m/s] of a kerf curve. A wire that hardly moves has no kerf of its own: it counts as 1 mm/s."""
+RESTING_COSINE: Final = 0.7
+"""What is above a slot rests on it where the cosine of the slot's lean is more than this."""
+
+
+class Heat(Strict):
+    """How wide the wire melts: ``kerf_mm``, the same at every speed, or ``power_w`` over the wire's whole
+    length, from which the slot follows by the local speed and the block's foam."""
+
+    kerf_mm: Annotated[float, Field(ge=0, le=20, description="width of the slot")] | None = None
+    power_w: Annotated[float, Field(gt=0, le=5000, description="over the wire's whole length")] | None = None
+    kerf_range_mm: Annotated[
+        tuple[Annotated[float, Field(gt=0, le=20)], Annotated[float, Field(gt=0, le=20)]],
+        Field(description="slots that leave usable faces, where power_w is given"),
+    ] = (width.USABLE_KERFS[0] / MM, width.USABLE_KERFS[1] / MM)
+
+    @model_validator(mode="after")
+    def _one_heat(self) -> Heat:
+        if (self.kerf_mm is None) == (self.power_w is None):
+            raise ValueError("give kerf_mm, the slot's width, or power_w, one of them")
+        if self.kerf_range_mm[0] >= self.kerf_range_mm[1]:
+            raise ValueError("kerf_range_mm is [lower, upper] with lower < upper")
+        return self
+
+    def kerf_curve(self, foam: Foam | None, diameter: float, length: float, thickness: float) -> KerfCurve:
+        """Kerf over the local speed of a wire of ``diameter`` and heated ``length`` [m] in foam that is
+        ``thickness`` [m] thick along it.
+
+        Raises ``TandemError``: stock.foam_missing, kerf.no_data, kerf.input.
+        """
+        if self.kerf_mm is not None:
+            return KerfCurve.constant(self.kerf_mm * MM)
+        if self.power_w is None or foam is None:
+            raise TandemError(
+                Issue(
+                    "stock.foam_missing",
+                    "power_w is given, but the kerf depends on the block's foam, which is not named; name "
+                    "stock.foam, or give kerf_mm instead",
+                    field="stock.foam",
+                )
+            )
+        wire = width.HotWire(diameter, length)
+        return width.curve(foam, wire, self.power_w, thickness, np.array(KERF_SPEEDS))
+
+
+class HotWireOperation(Heat):
+    """An operation that cuts foam with a hot wire."""
+
+    name: Name
+    feed_mm_s: Annotated[
+        float, Field(ge=0.1, le=200, description="upper limit of the wire's fastest point in foam")
+    ] = 8.0
+    feed_min_mm_s: Annotated[float, Field(ge=0, le=200, description="a slower wire burns the foam")] = 3.0
+    share: Annotated[
+        float, Field(gt=0.5, le=1, description="part of each surface that must be within tolerance")
+    ] = 0.95
+    signal: Annotated[
+        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="output that powers the wire")
+    ] = Controller.wire_signal
+
+    @model_validator(mode="after")
+    def _feeds_in_order(self) -> Self:
+        if self.feed_min_mm_s > self.feed_mm_s:
+            raise ValueError("feed_min_mm_s must not exceed feed_mm_s")
+        return self
+
+
+Face = Literal["front", "back"]
+
+
+class ElasticWire(HotWireOperation):
+    """Two arms bend one hot wire and sweep it through the block along the faces of the part."""
+
+    process: Literal["elastic_wire"]
+    arms: Annotated[tuple[Name, Name], Field(description="the arm at the wire's start, the arm at its end")]
+    wire: Annotated[
+        WireFile | None, Field(description="none: one of the cell's wires, chosen by trying them")
+    ] = None
+    faces: Annotated[tuple[Face, ...], Field(min_length=1, max_length=2)] = ("front", "back")
+    runs: Annotated[
+        Literal["one", "two"], Field(description="one: there and back; two: both faces in the same direction")
+    ] = "one"
+    sweep: Annotated[
+        Literal["auto", "x", "y"] | Annotated[float, Field(ge=-360, le=360)],
+        Field(description="direction across the wire, horizontal in the block; a number is degrees from x"),
+    ] = "auto"
+    sections: Annotated[
+        Literal["auto", "parallel", "normal"],
+        Field(
+            description="planes upright and parallel, or normal to the face's spine; auto: normal for a strip"
+        ),
+    ] = "auto"
+    shape_tol_mm: Annotated[float, Field(ge=0.01, le=50)] = 0.5
+    end_error_mm: Annotated[
+        float, Field(ge=0, le=5, description="how far each wire end may be off in reality")
+    ] = 0.05
+    step_mm: Annotated[
+        float, Field(ge=0.2, le=50, description="travel of the fastest point between targets")
+    ] = 3.0
+    margin_mm: Annotated[
+        float, Field(ge=1, le=300, description="of wire ends, and of the wire in air, to the block")
+    ] = 20.0
+    slack_mm: Annotated[
+        float, Field(ge=0, le=500, description="how far the wire may slide along itself, either way")
+    ] = 20.0
+    heat_up_s: Annotated[float, Field(ge=0, le=600)] = 10.0
+    cool_down_s: Annotated[float, Field(ge=0, le=600)] = 30.0
+
+    def leaves(self, stock: Stock) -> Stock:
+        """The block as it was: what is cut stays in its place."""
+        return stock
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ElasticWire:
+        if self.arms[0] == self.arms[1]:
+            raise ValueError("arms: two different arms hold the wire's ends")
+        if len(set(self.faces)) != len(self.faces):
+            raise ValueError("faces: each face is cut once")
+        if self.power_w is not None and self.wire is not None and not self.wire.is_round:
+            raise ValueError("power_w: the kerf of strips is not known; give kerf_mm")
+        return self
+
+    @property
+    def chosen(self) -> WireFile:
+        """The wire; an operation that leaves it open has none before it is chosen."""
+        if self.wire is None:
+            raise ValueError(f"{self.name}: no wire is chosen yet")
+        return self.wire
+
+    @property
+    def degrees(self) -> float | None:
+        """Direction of the sweep [deg from x]; None: it is chosen."""
+        return {"x": 0.0, "y": 90.0, "auto": None}[self.sweep] if isinstance(self.sweep, str) else self.sweep
+
+    @property
+    def way(self) -> str:
+        """The sweep as people say it."""
+        known = {None: "any direction", 0.0: "x", 90.0: "y"}
+        return known.get(self.degrees, f"{self.sweep} deg from x")
+
+    def wires(self, at_hand: tuple[WireFile, ...]) -> tuple[WireFile, ...]:
+        """The wires that may cut: the stated one, else those ``at_hand`` in the cell whose kerf is known."""
+        if self.wire is not None:
+            return (self.wire,)
+        return tuple(w for w in at_hand if w.is_round or self.power_w is None)
+
+    def using(self, wire: WireFile, sweep: float | None = None) -> ElasticWire:
+        """This operation with a wire, and a sweep [deg from x], in place of what it leaves open."""
+        return self.model_copy(update={"wire": wire} | ({} if sweep is None else {"sweep": sweep}))
+
+    @property
+    def is_normal(self) -> bool:
+        """Whether sections are normal to the spine of the face: a strip's width must follow the sweep."""
+        return self.sections == "normal" or (self.sections == "auto" and not self.chosen.is_round)
+
+
+Side = Literal["left", "right", "front", "back", "bottom", "top"]
+BLOCK_SIDES: Final[dict[str, tuple[int, int]]] = {
+    "left": (0, 0),
+    "right": (0, 1),
+    "front": (1, 0),
+    "back": (1, 1),
+    "bottom": (2, 0),
+    "top": (2, 1),
+}
+"""Axis of the stock frame and end (0 low, 1 high) of each side of the block: left and right lie across x,
+front and back across y."""
+
+Axis = Literal["x", "y", "z"]
+
+
+class _Cut(Strict):
+    """What all cuts have."""
+
+    leave: Annotated[
+        Literal["onwards", "back"],
+        Field(description="how the wire leaves the foam: on the far side, or back through its own slot"),
+    ] = "onwards"
+    feed_mm_s: Annotated[
+        float | None, Field(ge=0.1, le=200, description="of this cut; none: that of the operation")
+    ] = None
+
+
+class SurfaceCut(_Cut):
+    """One ruled surface of the part. ``lead``: where the wire comes from, seen from where the cut begins;
+    ``last``: which side of the piece is cut last, the one that holds it until then."""
+
+    surface: Name
+    lead: Literal["auto"] | tuple[Far, Far, Far] = "auto"
+    last: Literal["top", "bottom", "any"] | tuple[Far, Far, Far] = "top"
+    reverse: Annotated[bool, Field(description="an open strip from its last ruling to its first")] = False
+
+    @model_validator(mode="after")
+    def _directions(self) -> Self:
+        for name, way in (("lead", self.lead), ("last", self.last)):
+            if not isinstance(way, str) and not any(way):
+                raise ValueError(f"{name}: a direction has a length above 0")
+        return self
+
+
+class TrimCut(_Cut):
+    """The block's oversize is cut off at the sides named, so that the datum block remains. ``along``: the
+    axis that the wire is parallel to."""
+
+    trim: Annotated[tuple[Side, ...], Field(min_length=1, max_length=6)]
+    along: Literal["auto"] | Axis = "auto"
+    reverse: Annotated[bool, Field(description="the other way through the block")] = False
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        if len(set(self.trim)) != len(self.trim):
+            raise ValueError("trim: each side is cut once")
+        if any("xyz"[BLOCK_SIDES[side][0]] == self.along for side in self.trim):
+            raise ValueError("along: the wire cannot stand across the side that it trims")
+        return self
+
+
+def _cut_kind(value: object) -> str:
+    """Which kind of cut is meant, so that its faults are told of that one alone."""
+    trims = "trim" in value if isinstance(value, dict) else isinstance(value, TrimCut)
+    return "trim" if trims else "surface"
+
+
+def _cuts_kind(value: object) -> str:
+    return "word" if isinstance(value, str) else "list"
+
+
+AnyCut = Annotated[
+    Annotated[SurfaceCut, Tag("surface")] | Annotated[TrimCut, Tag("trim")], Discriminator(_cut_kind)
+]
+Cuts = Annotated[
+    Annotated[Literal["all"], Tag("word")]
+    | Annotated[tuple[AnyCut, ...], Field(min_length=1, max_length=200), Tag("list")],
+    Discriminator(_cuts_kind),
+]
+
+
+class Straight(HotWireOperation):
+    """One arm takes a bow with a straight hot wire along the ruled surfaces of the part. A second arm, where
+    it holds the block, moves it."""
+
+    process: Literal["straight_wire"]
+    arms: Annotated[
+        tuple[Name, ...],
+        Field(
+            min_length=1, max_length=2, description="the arm with the bow, and the arm that holds the block"
+        ),
+    ]
+    cuts: Annotated[
+        Cuts, Field(description="in this order; all: every ruled surface, holes first and outlines last")
+    ] = "all"
+    wire_material: Annotated[str, Field(max_length=60, description="for the setup sheet")] = ""
+    shape_tol_mm: Annotated[float, Field(ge=0.01, le=50)] = 0.3
+    left_mm: Annotated[
+        float, Field(ge=0, le=100, description="how deep foam may stay where a round wire cannot reach")
+    ] = 5.0
+    step_mm: Annotated[
+        float, Field(ge=0.2, le=50, description="travel of the fastest point between targets")
+    ] = 4.0
+    margin_mm: Annotated[
+        float, Field(ge=1, le=300, description="of the wire's ends, and of the wire in the air, to the block")
+    ] = 20.0
+    air_feed_mm_s: Annotated[
+        float,
+        Field(ge=1, le=1000, description="of the wire in the air between cuts: faster, it cools and swings"),
+    ] = AIR_FEED / MM
+    holder: Annotated[
+        Literal["full", "turn"],
+        Field(description="what a holder may do: all of it, or only turn about its tool's axis"),
+    ] = "full"
+    move_mm: Annotated[float, Field(ge=0, le=2000, description="how far a holder moves the block")] = 300.0
+    tilt_deg: Annotated[Angle, Field(ge=0, le=90, description="how far a holder tilts the block")] = 40.0
+    spacers: Annotated[
+        bool, Field(description="ask for spacers where what is above a cut would drop by a kerf")
+    ] = False
+    heat_up_s: Annotated[float, Field(ge=0, le=600)] = 5.0
+    cool_down_s: Annotated[float, Field(ge=0, le=600)] = 10.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(set(self.arms)) != len(self.arms):
+            raise ValueError("arms: the bow and the block are held by two different arms")
+        if self.cuts != "all":
+            if any(cut.feed_mm_s is not None and cut.feed_mm_s < self.feed_min_mm_s for cut in self.cuts):
+                raise ValueError("cuts: feed_mm_s of a cut must not be below feed_min_mm_s")
+            names = self.segments
+            if len({fold(name) for name in names}) != len(names):
+                raise ValueError(
+                    "cuts: each surface and each side is cut once, and no surface has the name of a side "
+                    "that is trimmed (trim_left; case and runs of underscores do not count); drop or rename "
+                    "one"
+                )
+        return self
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """Names of the cuts that are listed, in order: surfaces, and ``trim_<side>`` for sides."""
+        if self.cuts == "all":
+            return ()
+        return tuple(
+            name
+            for cut in self.cuts
+            for name in ([cut.surface] if isinstance(cut, SurfaceCut) else [f"trim_{s}" for s in cut.trim])
+        )
+
+    def feed(self, cut: SurfaceCut | TrimCut) -> float:
+        """Upper limit [m/s] of the wire's fastest point in the foam during a cut."""
+        return (self.feed_mm_s if cut.feed_mm_s is None else cut.feed_mm_s) * MM
+
+    def leaves(self, stock: Stock) -> Stock:
+        """The block without the oversize of the sides that were trimmed."""
+        oversize = stock.oversize.copy()
+        for cut in () if self.cuts == "all" else self.cuts:
+            if isinstance(cut, TrimCut):
+                for side in cut.trim:
+                    axis, end = BLOCK_SIDES[side]
+                    oversize[end, axis] = 0.0
+        return dataclasses.replace(stock, oversize=oversize) if np.any(oversize != stock.oversize) else stock
