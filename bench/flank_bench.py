@@ -84,10 +84,10 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
 
     timed("start-up", load)
     from planner import pipeline
-    from planner.milling.process_plan import work
     from planner.motion import solve
     from planner.post import write
     from planner.processes import registry
+    from planner.processes.milling.plan.process_plan import work
 
     problem = timed("problem file", lambda: pipeline.load(path))
     targets = timed("targets", lambda: [registry.job(problem, 0).targets()])
@@ -107,7 +107,7 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
 def _against_all(made: Any) -> dict[str, Any]:
     """The cutter along the last pass of the first wall, against places of the wall."""
     from planner.geometry.mesh import small_pieces
-    from planner.milling import check as milling_check
+    from planner.processes.milling.plan import check as milling_check
 
     face, path = made.faces[0].mesh, made.cuts[0].runs[-1].path
     points = small_pieces(face.vertices[face.faces], 2e-3, 200_000)[0].mean(axis=1)

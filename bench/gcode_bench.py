@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from bench.proc import planned
-from planner.milling.gcode import reader
-from planner.milling.operation import GCodeFile
+from planner.processes.milling.plan.gcode import reader
+from planner.processes.milling.plan.operation import GCodeFile
 
 LINES = 1_000_000
 PLANNED = 332

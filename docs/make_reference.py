@@ -15,9 +15,9 @@ from pydantic import BaseModel
 
 from planner.batch import batch_file
 from planner.issue_codes import CODES
-from planner.milling import operation as milling_operation
 from planner.processes.forming.plan import operation as forming
 from planner.processes.hotwire.plan import operation
+from planner.processes.milling.plan import operation as milling_operation
 from planner.reading import (
     axes,
     cell,

@@ -30,10 +30,10 @@ from planner.files import is_file
 from planner.geometry.arrays import to_rpy
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.milling import operation as milling
 from planner.processes import registry
 from planner.processes.forming.plan import operation as forming
 from planner.processes.hotwire.plan import operation as hotwire
+from planner.processes.milling.plan import operation as milling
 from planner.reading import (
     axes,
     cell,

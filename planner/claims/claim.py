@@ -15,15 +15,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.claims.milling import (
-    Engraves,
-    MillsAlong,
-    MillsFlank,
-    MillsOver,
-    MillsProgram,
-    MillsSurface,
-    SparesPart,
-)
 from planner.claims.trim import TrimsSheet
 from planner.claims.vocabulary import OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -41,6 +32,15 @@ from planner.processes.forming.claims import (
     SupportsBorder,
     ToolGap,
     ToolsLean,
+)
+from planner.processes.milling.claims import (
+    Engraves,
+    MillsAlong,
+    MillsFlank,
+    MillsOver,
+    MillsProgram,
+    MillsSurface,
+    SparesPart,
 )
 
 

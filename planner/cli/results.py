@@ -82,8 +82,9 @@ def export(
 ) -> Path:
     """Write the cell at ``seconds`` after the plan's first target, with wanted and simulated part, ways of
     tools and wires, for CAD programs: ``output`` is a .glb or .3dm file. A .ngc file has what was milled as
-    G-code for a five-axis ``machine``, by its name in :data:`planner.milling.gcode.state.KINEMATICS`, whose
-    rotary axes in ``reverse`` count the other way round.
+    G-code for a five-axis ``machine``, by its name in
+    :data:`planner.processes.milling.plan.gcode.state.KINEMATICS`, whose rotary axes in ``reverse`` count
+    the other way round.
 
     Raises ``TandemError``: ``problem.field`` for another ending, a time that the plan does not have or a
     machine that cannot do it, ``upload.unproven`` for G-code of what is not proven, ``part.extra_missing``,
@@ -113,7 +114,7 @@ def export(
 
 def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: str) -> str:
     """What a proven result mills as G-code."""
-    from planner.milling.gcode import inverse_time, state
+    from planner.processes.milling.plan.gcode import inverse_time, state
     from planner.shopfloor.loading import proven
 
     if machine not in state.KINEMATICS:

@@ -17,10 +17,10 @@ from pydantic import BaseModel
 from planner.cell import sag
 from planner.claims.claim import Claim
 from planner.issues import Issue, TandemError
-from planner.milling.operation import Milling
 from planner.problem import Problem
 from planner.processes.forming.plan.operation import Forming
 from planner.processes.hotwire.plan.operation import ElasticWire, Straight
+from planner.processes.milling.plan.operation import Milling
 from planner.processes.process import Process
 from planner.reading.poses import Posed
 from planner.targets import Job
@@ -30,7 +30,7 @@ PROCESSES: Final[Mapping[str, Process]] = {
     "forming": Process(Forming, "planner.processes.forming.plan.job", "FormingJob"),
     "elastic_wire": Process(ElasticWire, "planner.processes.hotwire.plan.elastic.job", "ElasticJob"),
     "straight_wire": Process(Straight, "planner.processes.hotwire.plan.straight.job", "StraightJob"),
-    "milling": Process(Milling, "planner.milling.job", "MillingJob"),
+    "milling": Process(Milling, "planner.processes.milling.plan.job", "MillingJob"),
     "trim": Process(Trim, "planner.trim.job", "TrimJob"),
     "targets": Process(Posed, "planner.reading.poses", "PosedJob"),
 }

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from planner.claims import vocabulary
 from planner.claims.claim import Claim, ContactOnlyIn
-from planner.claims.milling import DrawnCurve
 from planner.claims.trim import SurfaceFile, TrimBlade, TrimCutter, TrimOutline, TrimsSheet
 from planner.claims.vocabulary import (
     DialogueStep,
@@ -19,6 +18,7 @@ from planner.claims.vocabulary import (
 )
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
+from planner.processes.milling.claims import DrawnCurve
 from planner.tooling import Knife, Mill, Torch
 from planner.trim.cutting import Trimmer, kerf_of
 from planner.trim.operation import KnifeCut, MillCut, OutlineFile, Trim

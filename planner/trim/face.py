@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots, unit
 from planner.geometry.units import MM
-from planner.milling.cutter_contact import Over
+from planner.processes.milling.plan.cutter_contact import Over
 
 CURVE_SPACING: Final = 0.4 * MM
 """Distance [m] of the places at which a curve is laid on the face."""

@@ -15,8 +15,8 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, has_errors
-from planner.milling.tool_path import sharp, thinned
 from planner.problem import Setup
+from planner.processes.milling.plan.tool_path import sharp, thinned
 from planner.trim import check
 from planner.trim.cutting import Cutting
 from planner.trim.face import Face, Laid, apart

@@ -7,16 +7,16 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.milling import MillsProgram, SparesPart
 from planner.claims.vocabulary import Segment
 from planner.geometry import corner_rounding
-from planner.milling import job as milling_job
 from planner.motion.trajectory import joint_path
 from planner.post.krl import syntax
 from planner.post.rapid import syntax as rapid_syntax
 from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.plan import job as forming_job
 from planner.processes.hotwire.plan.straight import job as straight_job
+from planner.processes.milling.claims import MillsProgram, SparesPart
+from planner.processes.milling.plan import job as milling_job
 from planner.targets import Rounding, lever
 from planner.tooling import bow
 from planner.verify.replay.moves import end_rates, time_law_of

@@ -27,8 +27,8 @@ from planner.verify import prove
 from planner.verify.krl.parser import marked_comment as marked
 from planner.verify.programs.program_text import segment_of_name
 from tests import line_ends, small_problem
-from tests.milling import small_mill
 from tests.processes.hotwire.plan.straight import test_job as test_straight
+from tests.processes.milling.plan import small_mill
 from tests.verify import straight_job
 from tests.verify.planner_jobs import JOBS
 

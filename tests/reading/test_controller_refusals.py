@@ -151,7 +151,7 @@ def test_what_controllers_can_do_is_taken(tmp_path: Path, value: Any) -> None:
 
 
 def test_a_spindle_and_a_wire_do_not_share_a_signal(tmp_path: Path) -> None:
-    from tests.milling import small_mill
+    from tests.processes.milling.plan import small_mill
 
     data = copy.deepcopy(small_mill.WALL)
     data["cell"]["controller"] = {"interlock": {"motors_signal": "doSpindle"}}

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from tests.milling.small_mill import BALL, MILL, PANEL, WALL
+from tests.processes.milling.plan.small_mill import BALL, MILL, PANEL, WALL
 from tests.refusals import change
 from tests.remedies.advice import Said, Word, Words
 from tests.remedies.remedy_rows import Row, Yaml, lay

@@ -46,8 +46,8 @@ from planner.tooling.holding_tools import OnFlange
 from planner.verify.prove import Prover
 from tests import small_forming
 from tests.cell.cells import BLOCK, alone
-from tests.milling import small_mill
 from tests.processes.hotwire.plan import foam_blocks
+from tests.processes.milling.plan import small_mill
 from tests.verify import straight_job
 from tests.verify.provers import broken
 

@@ -10,7 +10,7 @@ from planner.post import write
 from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
-from tests.milling.small_mill import problem
+from tests.processes.milling.plan.small_mill import problem
 
 Programs = dict[str, str]
 

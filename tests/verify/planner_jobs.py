@@ -19,8 +19,8 @@ from planner.catalogue.robots import data_dir, robot
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import Mesh, from_rpy, to_quaternion
 from tests import gantry_job, small_forming, urdf_text
-from tests.milling import small_mill
 from tests.processes.forming.plan.shapes import cone
+from tests.processes.milling.plan import small_mill
 from tests.rhino_files import Model, curve, ruled_surface
 from tests.trim import small_trim
 

@@ -36,7 +36,7 @@ NEVER = (
     "planner.cell.kinematics",
     "planner.processes.hotwire.plan",
     "planner.processes.forming.plan",
-    "planner.milling",
+    "planner.processes.milling.plan",
     "planner.post",
     "planner.report",
 )

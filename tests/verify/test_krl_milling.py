@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.milling.small_mill import WALL
+from tests.processes.milling.plan.small_mill import WALL
 from tests.verify.milling_job import Job
 
 MAIN, MOVES = "robot/wall.src", "robot/wall_1.src"

@@ -19,9 +19,9 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from planner.claims.claim import CutsSurface
-from planner.claims.milling import MillsSurface
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import closest_on_triangles
+from planner.processes.milling.claims import MillsSurface
 from planner.verify.context import Context
 from planner.verify.files import Samples, on_triangles
 from planner.verify.files.sheets import SheetFace

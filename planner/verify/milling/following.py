@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.claims.milling import MillsAlong
 from planner.geometry.arrays import FloatArray, IntArray
+from planner.processes.milling.claims import MillsAlong
 from planner.verify.replay.moves import ACCURACY
 
 Row = list[float]

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims.milling import ProgramFile
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.processes.milling.claims import ProgramFile
 
 COMMENTS = re.compile(rb"\([^()\n]*\)|;[^\n]*")
 """Comments: in parentheses, or from a semicolon to the end of the line."""

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.claims.milling import ProgramFile
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.processes.milling.claims import ProgramFile
 from planner.verify.milling import gcode_lines
 from planner.verify.milling.gcode_lines import (
     INVERSE,

@@ -17,8 +17,8 @@ import numpy as np
 import shapely
 from scipy.sparse import csr_array
 
-from planner.claims.milling import MillsFlank, MillsOver
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.processes.milling.claims import MillsFlank, MillsOver
 from planner.tooling import Cutter
 
 SAMPLES_TOGETHER = 400

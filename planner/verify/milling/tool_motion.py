@@ -16,11 +16,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims.milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.problem import Stock
+from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.runtime.executor import SERIAL, Executor
 from planner.tooling import Cutter, Mill
 from planner.verify.context import Context

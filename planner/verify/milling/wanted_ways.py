@@ -19,10 +19,17 @@ from scipy.interpolate import BSpline
 
 from planner.claims import vocabulary
 from planner.claims.claim import Claim, FeedWindow
-from planner.claims.milling import DrawnCurve, Engraves, MillsAlong, MillsProgram, SafeWays, SparesPart
 from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialogue, Segment, question_step
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
+from planner.processes.milling.claims import (
+    DrawnCurve,
+    Engraves,
+    MillsAlong,
+    MillsProgram,
+    SafeWays,
+    SparesPart,
+)
 from planner.tooling import Cutter
 from planner.verify.files import UNITS, UnreadError, curves, rhino
 from planner.verify.job import MILL

@@ -16,11 +16,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import milling, vocabulary
+from planner.claims import vocabulary
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
-from planner.claims.milling import SafeWays, SparesPart
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.issues import Issue
+from planner.processes.milling import claims
+from planner.processes.milling.claims import SafeWays, SparesPart
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText
 from planner.verify.krl import spline_curve
@@ -54,11 +55,11 @@ _CLAIM_TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
     FollowsPoses: _NO_TOLERANCE,
     FollowsTable: _NO_TOLERANCE,
     FeedWindow: _NO_TOLERANCE,
-    milling.MillsSurface: ("tolerance",),
-    milling.MillsAlong: ("tolerance",),
-    milling.MillsFlank: ("tolerance",),
-    milling.MillsOver: ("tolerance",),
-    milling.SparesPart: ("tolerance",),
+    claims.MillsSurface: ("tolerance",),
+    claims.MillsAlong: ("tolerance",),
+    claims.MillsFlank: ("tolerance",),
+    claims.MillsOver: ("tolerance",),
+    claims.SparesPart: ("tolerance",),
 }
 """Claims that are proven with spline blocks, and their tolerances [m]; those on poses ask for the points
 themselves, through which every curve goes, and for the times between them."""
@@ -230,7 +231,7 @@ def _paced(context: Context, block: Block, bounds: Bounds) -> list[Issue]:
             issues.append(at_step(SPLINE, what, task, move))
     labels = {context.motion.node_label[node] for node in block.nodes}
     for claim in context.claims:
-        if not isinstance(claim, milling.MillsAlong) or len(claim.feed) < 3:
+        if not isinstance(claim, claims.MillsAlong) or len(claim.feed) < 3:
             continue
         if claim.segment.key in labels and np.ptp(claim.feed[1:]) > 0.0:
             what = f"a spline block in {claim.segment}, whose feed changes on the way; write SLIN"
@@ -430,6 +431,6 @@ def _less(claim: Claim, most: Allowance) -> Claim:
         fields["safe"] = dataclasses.replace(
             safe, plunge=safe.plunge / FASTER_FACTOR, rapid=safe.rapid / FASTER_FACTOR
         )
-    if isinstance(claim, milling.MillsAlong) and claim.back is not None:
+    if isinstance(claim, claims.MillsAlong) and claim.back is not None:
         fields["back"] = _less(claim.back, most)
     return dataclasses.replace(claim, **fields) if fields else claim

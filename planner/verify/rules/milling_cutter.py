@@ -14,7 +14,11 @@ import numpy as np
 import shapely
 
 from planner.claims.claim import ContactOnlyIn, FeedWindow
-from planner.claims.milling import (
+from planner.claims.trim import TrimsSheet
+from planner.claims.vocabulary import Phase, Segment
+from planner.geometry.arrays import FloatArray, IntArray
+from planner.issues import Issue
+from planner.processes.milling.claims import (
     Engraves,
     MillsAlong,
     MillsFlank,
@@ -23,10 +27,6 @@ from planner.claims.milling import (
     MillsSurface,
     SparesPart,
 )
-from planner.claims.trim import TrimsSheet
-from planner.claims.vocabulary import Phase, Segment
-from planner.geometry.arrays import FloatArray, IntArray
-from planner.issues import Issue
 from planner.runtime.executor import SERIAL
 from planner.tooling import Mill
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule

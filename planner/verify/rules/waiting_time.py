@@ -12,10 +12,10 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 import numpy as np
 
 from planner.claims.claim import StraightWire, WireJoins
-from planner.claims.milling import MillsAlong
 from planner.claims.vocabulary import HandshakeKind
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
+from planner.processes.milling.claims import MillsAlong
 from planner.verify import job
 from planner.verify.context import Context, Outcome, at_node, at_step, mm, rule
 from planner.verify.job import Stage, TaskText, sync_points

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.claims.milling import MillsAlong
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray
+from planner.processes.milling.claims import MillsAlong
 from planner.verify.milling.following import Followed, follow
 
 UP = np.array([0.0, 0.0, 1.0])

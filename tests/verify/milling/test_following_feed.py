@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.milling import MillsAlong
 from planner.claims.vocabulary import Segment
-from planner.milling.tool_path import parted
+from planner.processes.milling.claims import MillsAlong
+from planner.processes.milling.plan.tool_path import parted
 from planner.verify.milling.following import FEED_TOLERANCES, allowed, follow, highest, rows_to_check
-from tests.milling.small_mill import BALL, PANEL
+from tests.processes.milling.plan.small_mill import BALL, PANEL
 from tests.verify.milling_job import Job, in_procedure
 
 TOLERANCE = 0.2e-3

@@ -1,7 +1,7 @@
 """The proof's own reader of G-code: the same ways as the planner's own, which shares no code with it, over
 random files; what it refuses; and faults in the planner's reader, which must not end proven.
 
-Both are held against LinuxCNC's interpreter in ``tests/milling/gcode/test_canon.py``.
+Both are held against LinuxCNC's interpreter in ``tests/processes/milling/plan/gcode/test_canon.py``.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ import pytest
 from numpy.typing import NDArray
 
 from planner.claims.claim import ContactOnlyIn
-from planner.claims.milling import MillsAlong
 from planner.claims.vocabulary import OperatorDialogue
 from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
-from planner.milling import check
-from planner.milling import job as milling_job
-from planner.milling.gcode import lines, moves, reader
-from planner.milling.gcode.state import Convention
-from planner.milling.job import program_file
-from planner.milling.operation import GCodeFile
-from planner.milling.tool_path import ToolPath
 from planner.motion import solve
 from planner.post import write
 from planner.processes import registry
+from planner.processes.milling.claims import MillsAlong
+from planner.processes.milling.plan import check
+from planner.processes.milling.plan import job as milling_job
+from planner.processes.milling.plan.gcode import lines, moves, reader
+from planner.processes.milling.plan.gcode.state import Convention
+from planner.processes.milling.plan.job import program_file
+from planner.processes.milling.plan.operation import GCodeFile
+from planner.processes.milling.plan.tool_path import ToolPath
 from planner.verify.milling import gcode_moves as second
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.gcode_lines import UnreadableError, words
 from planner.verify.programs import operator_dialogue
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
-from tests.milling.gcode import gcode_random
-from tests.milling.gcode.gcode_programs import HEAD, read, spec
-from tests.milling.small_mill import BALL, PANEL, problem
+from tests.processes.milling.plan.gcode import gcode_random
+from tests.processes.milling.plan.gcode.gcode_programs import HEAD, read, spec
+from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
 
 
 def by_the_proof(own: GCodeFile) -> second.Way:

@@ -13,21 +13,21 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from planner.claims.milling import Engraves, MillsAlong
 from planner.geometry.arrays import FloatArray
-from planner.milling import job as milling_job
-from planner.milling import point_cut
-from planner.milling.job import MillingJob
 from planner.motion import solve
 from planner.post import write
 from planner.processes import registry
+from planner.processes.milling.claims import Engraves, MillsAlong
+from planner.processes.milling.plan import job as milling_job
+from planner.processes.milling.plan import point_cut
+from planner.processes.milling.plan.job import MillingJob
 from planner.tooling import Cutter
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.following import follow
 from planner.verify.milling.surface_passes import Laid
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
-from tests.milling.small_mill import BALL, PANEL, problem
+from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
 
 WAVE = {"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}
 ZIGZAG = {"polyline_mm": [[-30, -10, 0], [-10, 12, 0], [5, -8, 0], [5, 10, 0], [28, 9, 0]]}

@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.claims.milling import MillsFlank
 from planner.geometry.arrays import FloatArray
-from planner.milling import cutter_contact, flank_cut
-from planner.milling import job as milling_job
-from planner.milling.job import MillingJob
-from planner.milling.tool_path import Run, ends
 from planner.motion import solve
 from planner.post import write
 from planner.processes import registry
+from planner.processes.milling.claims import MillsFlank
+from planner.processes.milling.plan import cutter_contact, flank_cut
+from planner.processes.milling.plan import job as milling_job
+from planner.processes.milling.plan.job import MillingJob
+from planner.processes.milling.plan.tool_path import Run, ends
 from planner.verify.milling import surface_passes
 from planner.verify.milling.tool_motion import in_block
 from planner.verify.prove import Prover
 from tests import line_ends
-from tests.milling.small_mill import WALL, problem
+from tests.processes.milling.plan.small_mill import WALL, problem
 
 LONG = {"flute_mm": 60, "overhang_mm": 95, "diameter_mm": 8}
 

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.claims.milling import MillsOver, MillsSurface
 from planner.geometry.arrays import FloatArray
-from planner.milling import job as milling_job
-from planner.milling import point_cut
-from planner.milling.job import MillingJob
 from planner.motion import solve
 from planner.post import write
 from planner.processes import registry
+from planner.processes.milling.claims import MillsOver, MillsSurface
+from planner.processes.milling.plan import job as milling_job
+from planner.processes.milling.plan import point_cut
+from planner.processes.milling.plan.job import MillingJob
 from planner.verify.milling.surface_passes import OverFace
 from planner.verify.prove import Prover
 from tests import line_ends
-from tests.milling.small_mill import BALL, PANEL, problem
+from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
 from tests.verify.milling.test_surface_passes_flank import dense
 
 LINES: dict[str, Any] = {"lines": "front", "stepover_mm": 4}

@@ -10,8 +10,8 @@ import pytest
 from planner import pipeline
 from planner.geometry.mesh import small_pieces
 from planner.issues import TandemError
-from planner.milling import check
 from planner.processes import registry
+from planner.processes.milling.plan import check
 from planner.verify.forming import face as forming_face
 from planner.verify.forming.face import Face, left_by
 from planner.verify.milling import tool_motion
@@ -20,7 +20,7 @@ from planner.verify.rules import milling_cutter
 from planner.verify.rules.forming_tool import _places
 from planner.verify.wire import cut_surface
 from planner.verify.wire.cut_surface import divided, sample_face
-from tests.milling.small_mill import WALL, problem
+from tests.processes.milling.plan.small_mill import WALL, problem
 from tests.remedies.advice import Said
 
 BALL = Solid("cutter", 0.0, 0.03, 0.003, 0.003)

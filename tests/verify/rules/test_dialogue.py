@@ -18,7 +18,7 @@ from planner.verify.context import Context
 from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.prove import Prover
 from tests import line_ends
-from tests.milling import small_mill
+from tests.processes.milling.plan import small_mill
 from tests.verify import dialogue_job, planner_jobs, small_job
 from tests.verify.dialogue_mutants import KRL, LIES, RAPID, main_of
 from tests.verify.dialogue_proofs import CODE, JOBS, faults, prover

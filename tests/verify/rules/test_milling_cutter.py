@@ -12,7 +12,7 @@ import pytest
 from planner.claims.vocabulary import Segment
 from planner.tooling import Cutter
 from planner.verify.milling.tool_motion import signed, solids, sweep
-from tests.milling.small_mill import BALL, PANEL, WALL
+from tests.processes.milling.plan.small_mill import BALL, PANEL, WALL
 from tests.verify.milling_job import Job, Programs, in_procedure
 
 RULES = ("verify.milled", "verify.mill_gouge", "verify.mill_path", "verify.mill_feed", "verify.spindle")

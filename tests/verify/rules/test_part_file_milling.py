@@ -11,7 +11,7 @@ import pytest
 import planner
 from planner.processes import registry
 from planner.verify.prove import Prover
-from tests.milling import small_mill
+from tests.processes.milling.plan import small_mill
 
 
 @pytest.fixture(scope="module")

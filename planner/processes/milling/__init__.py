@@ -1,0 +1,1 @@
+"""Milling: flank, point and engraving cuts, and paths of G-code."""

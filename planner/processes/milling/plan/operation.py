@@ -1,0 +1,402 @@
+"""The `milling` operation of a problem file, with the G-code files that it may cut.
+
+Lengths are in mm, angles in degrees, speeds in mm/s. The ``gcode`` of an operation says which file,
+where it lies, and what the file itself leaves out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, ClassVar, Final, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from planner.claims.vocabulary import fold
+from planner.geometry.units import DEG, MM
+from planner.problem import Stock
+from planner.processes.milling.claims import DrawnCurve
+from planner.processes.milling.plan.gcode.state import (
+    INCH,
+    KINEMATICS,
+    UNKNOWN_POSITION,
+    ConventionName,
+    Dialect,
+    FeedMode,
+    Triple,
+    convention,
+)
+from planner.reading.drawing_file import DrawingFile
+from planner.reading.part import PlaceFile
+from planner.reading.part_ruled import GuideFile
+from planner.reading.strict_yaml import Angle, Name, Strict, Vector
+
+Offset = Literal["G54", "G55", "G56", "G57", "G58", "G59"]
+Code = Annotated[str, Field(pattern=r"^[GM](0|[1-9][0-9]{0,2})(\.[1-9])?$")]
+PLANE_NORMALS: Final = {"xy": 2, "zx": 1, "yz": 0}
+"""Axis normal to a plane."""
+MOTION_MODES: Final = {"rapid": 0, "linear": 1}
+"""Mode of motion by its word in problem files."""
+
+
+def _from_the_problem_file(value: Path, info: ValidationInfo) -> Path:
+    """A file name, looked up from the folder of the problem file."""
+    folder: Path = (info.context or {}).get("folder", Path())
+    return folder / value
+
+
+class GCodeFile(Strict):
+    """A G-code file whose X Y Z are places of the cutter's tip in the part.
+
+    ``unit``, ``distance``, ``motion``, ``plane``, ``feed_mode``, ``feed_mm_min`` and ``spindle_rpm`` hold
+    until the file states its own; what neither states and a line needs is an issue.
+    """
+
+    file: Annotated[Path, AfterValidator(_from_the_problem_file)]
+    origin: Annotated[PlaceFile, Field(description="the file's frame in the frame of the stock")]
+    unit: Annotated[Literal["mm", "in"] | None, Field(description="until G20 or G21")] = None
+    distance: Annotated[Literal["absolute", "incremental"] | None, Field(description="until G90 or G91")] = (
+        None
+    )
+    motion: Annotated[Literal["rapid", "linear"] | None, Field(description="until G0 to G3")] = None
+    plane: Annotated[Literal["xy", "zx", "yz"] | None, Field(description="until G17, G18 or G19")] = None
+    arc_centre: Annotated[
+        Literal["incremental", "absolute"],
+        Field(description="I J K of arcs from the arc's start, or from the origin; until G90.1 or G91.1"),
+    ] = "incremental"
+    feed_mode: Annotated[FeedMode | None, Field(description="until G93, G94 or G95")] = None
+    feed_mm_min: Annotated[float | None, Field(ge=1, le=200_000, description="until the first F")] = None
+    spindle_rpm: Annotated[
+        float | None, Field(ge=1, le=200_000, description="runs from the start, until M3, M4, M5 or S")
+    ] = None
+    dwell: Annotated[Literal["s", "ms"] | None, Field(description="what P of a G4 counts")] = None
+    tool_axis: Annotated[
+        Literal["fixed", "ijk", "rotary"],
+        Field(description="along +z of the file; I J K of straight moves; the angles of a machine"),
+    ] = "fixed"
+    ijk_to: Annotated[
+        Literal["spindle", "tip"], Field(description="where I J K points, from the tip or to it")
+    ] = "spindle"
+    convention: Annotated[
+        ConventionName | None, Field(description="of a machine with rotary axes: what carries what")
+    ] = None
+    reverse: Annotated[
+        tuple[Literal["A", "B", "C"], ...], Field(max_length=3, description="axes counted the other way")
+    ] = ()
+    start_mm: Annotated[
+        Vector | None, Field(description="where the tip is before the first line; none: unknown")
+    ] = None
+    offsets: Annotated[
+        Mapping[Offset, Vector], Field(description="what G54 to G59 add, in mm, to places of the file")
+    ] = {}
+    block_delete: Annotated[bool | None, Field(description="leave lines with / out")] = None
+    skip: Annotated[
+        tuple[Code, ...], Field(max_length=50, description="codes to pass over, such as M8, each told")
+    ] = ()
+    tool: Annotated[
+        int | None, Field(ge=0, le=99_999, description="take the moves of this tool of the file alone")
+    ] = None
+    chord_tol_mm: Annotated[float, Field(ge=1e-4, le=1, description="of pieces of arcs")] = 0.005
+    angle_tol_deg: Annotated[float, Field(ge=1e-3, le=1, description="of the tool axis between targets")] = (
+        0.02
+    )
+
+    @model_validator(mode="after")
+    def _machine(self) -> Self:
+        if (self.tool_axis == "rotary") != (self.convention is not None):
+            raise ValueError("convention goes with tool_axis: rotary, which needs one; give both or neither")
+        if len(set(self.reverse)) != len(self.reverse):
+            raise ValueError("reverse: each axis is named once")
+        letters = KINEMATICS[self.convention].letters if self.convention is not None else ""
+        strange = [axis for axis in self.reverse if axis not in letters]
+        if strange:
+            raise ValueError(
+                f"reverse: {strange[0]} is no axis of the convention, which has {letters or 'none'}"
+            )
+        if self.feed_mm_min is not None and self.feed_mode not in (None, "per_minute"):
+            raise ValueError("feed_mm_min is a feed a minute, which goes with feed_mode: per_minute")
+        if self.ijk_to == "tip" and self.tool_axis != "ijk":
+            raise ValueError("ijk_to goes with tool_axis: ijk")
+        return self
+
+    def dialect(self, field: str) -> Dialect:
+        """All this in SI units; ``field`` says where the problem file has it."""
+        rotary = convention(self.convention, "".join(self.reverse)) if self.convention is not None else None
+        turns = "IJK" if self.tool_axis == "ijk" else rotary.letters if rotary is not None else ""
+        return Dialect(
+            file=self.file,
+            field=field,
+            unit={"mm": MM, "in": INCH, None: None}[self.unit],
+            absolute={"absolute": True, "incremental": False, None: None}[self.distance],
+            motion=None if self.motion is None else MOTION_MODES[self.motion],
+            plane=None if self.plane is None else PLANE_NORMALS[self.plane],
+            feed_mode=self.feed_mode,
+            feed=None if self.feed_mm_min is None else self.feed_mm_min * MM / 60.0,
+            spindle=None if self.spindle_rpm is None else self.spindle_rpm * 360.0 * DEG / 60.0,
+            absolute_centre=self.arc_centre == "absolute",
+            dwell={"s": 1.0, "ms": 1e-3, None: None}[self.dwell],
+            turns=turns,
+            convention=rotary,
+            to_spindle=1 if self.ijk_to == "spindle" else -1,
+            block_delete=self.block_delete,
+            start=UNKNOWN_POSITION if self.start_mm is None else _metres(self.start_mm),
+            offsets={int(name[1:]): _metres(shift) for name, shift in self.offsets.items()},
+            skip=frozenset(self.skip),
+            tool=self.tool,
+            chord=self.chord_tol_mm * MM,
+            angle=self.angle_tol_deg * DEG,
+            place=self.origin.matrix(),
+        )
+
+
+class GCodeCut(Strict):
+    """What a G-code file cuts, at its own feeds; its rapid moves are replaced by safe ones."""
+
+    gcode: GCodeFile
+    name: Name = "program"
+    shape_tol_mm: Annotated[
+        float | None,
+        Field(ge=0.005, le=20, description="of the tip to the file's way; none: that of the operation"),
+    ] = None
+
+
+def _metres(vector: Vector) -> Triple:
+    return vector[0] * MM, vector[1] * MM, vector[2] * MM
+
+
+Orient = Literal["best", "base"]
+SafeSide = Literal["top", "left", "right", "front", "back"]
+
+
+class _Cut(Strict):
+    """What all cuts have."""
+
+    feed_mm_s: Annotated[
+        float | None, Field(ge=0.1, le=500, description="of this cut; none: that of the operation")
+    ] = None
+    shape_tol_mm: Annotated[
+        float | None, Field(ge=0.005, le=20, description="of this cut; none: that of the operation")
+    ] = None
+
+
+class FlankCut(_Cut):
+    """The cutter's side along a ruled surface of the part, or its axis along the two guides themselves.
+
+    ``guides: surface`` - the guides are the wanted surface, and the cutter stands off it by its radius, on
+    its outer side; ``guides: tool`` - they are the way of the tip and of the axis. ``tip``: the guide at
+    which the tip is. ``direction`` ``along`` and ``against`` are seen along the guides, ``climb`` and
+    ``conventional`` for a spindle that turns clockwise, seen from the spindle (M3).
+    """
+
+    flank: Name
+    guides: Literal["surface", "tool"] = "surface"
+    tip: Literal["start", "end"] = "start"
+    direction: Literal["climb", "conventional", "along", "against"] = "along"
+    overrun_mm: Annotated[
+        float, Field(ge=0, le=200, description="how far the tip goes beyond its guide; a ball or corner more")
+    ] = 1.0
+    stepdown_mm: Annotated[
+        float | None, Field(ge=0.5, le=500, description="depth of a roughing pass; none: no roughing")
+    ] = None
+    leave_mm: Annotated[
+        float, Field(ge=0, le=50, description="what roughing leaves for the finishing pass")
+    ] = 1.0
+    lead_mm: Annotated[
+        float | None,
+        Field(ge=0, le=1000, description="length of the ways in and out; none: out of the block"),
+    ] = None
+
+
+class LinesCut(_Cut):
+    """Parallel lines over the part's front, as near to one another as a stepover or a ridge height asks.
+
+    ``angle_deg`` turns the lines about the block's z from its x. The tool's axis is the surface's normal,
+    leant forward along the feed by ``lead_deg`` and to the left by ``tilt_deg``; or upright.
+    """
+
+    lines: Annotated[Literal["front"], Field(description="the face that is milled")]
+    stepover_mm: Annotated[float | None, Field(ge=0.05, le=200)] = None
+    scallop_mm: Annotated[
+        float | None, Field(ge=0.001, le=5, description="height of the ridges between lines")
+    ] = None
+    angle_deg: Annotated[Angle, Field(description="of the lines, about z from x")] = 0.0
+    zigzag: Annotated[bool, Field(description="every other line the other way")] = True
+    margin_mm: Annotated[
+        float,
+        Field(ge=0, le=500, description="width of the strip along the face's edge that is left as it is"),
+    ] = 0.0
+    axis: Literal["normal", "upright"] = "normal"
+    lead_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
+    tilt_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
+
+    @model_validator(mode="after")
+    def _one_step(self) -> Self:
+        if (self.stepover_mm is None) == (self.scallop_mm is None):
+            raise ValueError("give either stepover_mm or scallop_mm, one of them")
+        return self
+
+
+class EngravedFile(GuideFile):
+    """A curve to engrave: points, control points, a DXF or Rhino file with one curve; or a ``drawing``, which
+    stands for all curves of a file, one after the other. A curve of a file that is closed is engraved all
+    round."""
+
+    drawing: DrawingFile | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        points = (self.polyline_mm, self.bspline_mm, self.bezier_mm)
+        if sum(kind is not None for kind in (*points, self.dxf, self.rhino, self.drawing)) != 1:
+            raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf, rhino and drawing")
+        return self
+
+    def looked_up(self, folder: Path) -> EngravedFile:
+        """The same with its file, where it has one, named from anywhere."""
+        own = self.model_copy(update=self._files(folder))
+        if own.drawing is None:
+            return own
+        return own.model_copy(update={"drawing": own.drawing.looked_up(folder)})
+
+    def drawn(self) -> DrawnCurve:
+        """The curve, or the curves, for claims."""
+        return super().drawn() if self.drawing is None else self.drawing.drawn()
+
+
+class EngraveCut(_Cut):
+    """Curves that are projected along z onto the part's front and engraved there by ``depth_mm``.
+
+    ``axis_curves``: for each curve a second one through which the tool's axis goes, in the same order.
+    """
+
+    engrave: Annotated[
+        tuple[EngravedFile, ...],
+        Field(min_length=1, max_length=500, description="curves; their z is not looked at"),
+    ]
+    name: Name = "pattern"
+    depth_mm: Annotated[float, Field(ge=0, le=100, description="below the surface, along its normal")]
+    axis: Literal["normal", "upright", "curves"] = "normal"
+    axis_curves: Annotated[tuple[EngravedFile, ...], Field(max_length=500)] = ()
+    lead_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
+    tilt_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
+
+    @field_validator("engrave", "axis_curves")
+    @classmethod
+    def _from_the_problem_file(
+        cls, value: tuple[EngravedFile, ...], info: ValidationInfo
+    ) -> tuple[EngravedFile, ...]:
+        """Drawings are looked up from the folder of the problem file."""
+        folder: Path = (info.context or {}).get("folder", Path())
+        return tuple(curve.looked_up(folder) for curve in value)
+
+    @model_validator(mode="after")
+    def _axes(self) -> Self:
+        if (self.axis == "curves") != bool(self.axis_curves):
+            raise ValueError("axis_curves belong to axis: curves, which needs them")
+        drawings = any(curve.drawing is not None for curve in (*self.engrave, *self.axis_curves))
+        if self.axis_curves and not drawings and len(self.axis_curves) != len(self.engrave):
+            raise ValueError(
+                f"axis_curves: got {len(self.axis_curves)} for {len(self.engrave)} curves; give one for each"
+            )
+        return self
+
+
+def _cut_kind(value: object) -> str:
+    """Which kind of cut is meant, so that its faults are told of that one alone."""
+    for kind, model in (("lines", LinesCut), ("engrave", EngraveCut), ("gcode", GCodeCut)):
+        if kind in value if isinstance(value, dict) else isinstance(value, model):
+            return kind
+    return "flank"
+
+
+AnyCut = Annotated[
+    Annotated[FlankCut, Tag("flank")]
+    | Annotated[LinesCut, Tag("lines")]
+    | Annotated[EngraveCut, Tag("engrave")]
+    | Annotated[GCodeCut, Tag("gcode")],
+    Discriminator(_cut_kind),
+]
+
+
+class Milling(Strict):
+    """One arm mills the block with the side or the end of a cutter, cut after cut in the order given."""
+
+    name: Name
+    process: Literal["milling"]
+    arms: Annotated[tuple[Name, ...], Field(min_length=1, max_length=1)]
+    cuts: Annotated[tuple[AnyCut, ...], Field(min_length=1, max_length=200)]
+    feed_mm_s: Annotated[float, Field(ge=0.1, le=500, description="of the fastest point that cuts")] = 20.0
+    plunge_mm_s: Annotated[float, Field(ge=0.1, le=500, description="down onto the block")] = 10.0
+    rapid_mm_s: Annotated[float, Field(ge=1, le=5000, description="above the safe plane")] = 150.0
+    spindle_rpm: Annotated[float, Field(ge=1, le=100_000, description="told to the operator")] = 12_000.0
+    signal: Annotated[
+        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="that switches the spindle")
+    ] = "doSpindle"
+    spin_up_s: Annotated[float, Field(ge=0, le=600)] = 5.0
+    spin_down_s: Annotated[float, Field(ge=0, le=600)] = 10.0
+    safe_side: Annotated[SafeSide, Field(description="side of the block on which the tool moves freely")] = (
+        "top"
+    )
+    safe_mm: Annotated[float, Field(ge=1, le=2000, description="of the safe plane off that side")] = 30.0
+    shape_tol_mm: Annotated[float, Field(ge=0.005, le=20)] = 0.2
+    share: Annotated[
+        float, Field(gt=0.5, le=1, description="part of a surface that must be within the tolerance")
+    ] = 0.98
+    step_mm: Annotated[float, Field(ge=0.2, le=100, description="longest way between targets of a cut")] = 5.0
+    orient: Annotated[
+        Orient,
+        Field(description="spin about the tool: as the motion likes best, or with its x toward the base"),
+    ] = "best"
+
+    @model_validator(mode="after")
+    def _names(self) -> Self:
+        names = self.segments
+        if len({fold(name) for name in names}) != len(names):
+            raise ValueError(
+                "cuts: each surface is cut once, and each pattern has a name of its own, where case and runs "
+                "of underscores do not count; rename or drop one"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _files_last(self) -> Self:
+        files = [isinstance(cut, GCodeCut) for cut in self.cuts]
+        if files != sorted(files):
+            raise ValueError(
+                "cuts: a surface or pattern behind a file would be milled at the speed, and the sense, that "
+                "the file left the spindle with; put files last, or in an operation of their own"
+            )
+        return self
+
+    @property
+    def by_files(self) -> bool:
+        """Whether files alone are cut: each states its spindle's speeds."""
+        return all(isinstance(cut, GCodeCut) for cut in self.cuts)
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """Names of the cuts in order."""
+        return tuple(cut_name(cut) for cut in self.cuts)
+
+    any_lean: ClassVar[bool] = True
+    """Its targets and claims are the same however the block leans,"""
+    any_base: ClassVar[bool] = True
+    """and wherever the arm stands meanwhile."""
+
+    def leaves(self, stock: Stock) -> Stock:
+        """The block as it was: what milling takes away only makes room."""
+        return stock
+
+
+def cut_name(cut: FlankCut | LinesCut | EngraveCut | GCodeCut) -> str:
+    """The name of a cut, by which its segments are called."""
+    if isinstance(cut, FlankCut):
+        return cut.flank
+    return f"{cut.lines}_lines" if isinstance(cut, LinesCut) else cut.name
