@@ -18,6 +18,7 @@ from planner.issue_codes import CODES
 from planner.processes.forming.plan import operation as forming
 from planner.processes.hotwire.plan import operation
 from planner.processes.milling.plan import operation as milling_operation
+from planner.processes.trim.plan import operation as trim_operation
 from planner.reading import (
     axes,
     cell,
@@ -36,7 +37,6 @@ from planner.reading import (
     stock,
 )
 from planner.reading import part as part_file
-from planner.trim import operation as trim_operation
 from planner.verify import prove
 
 HERE = Path(__file__).parent

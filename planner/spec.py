@@ -34,6 +34,7 @@ from planner.processes import registry
 from planner.processes.forming.plan import operation as forming
 from planner.processes.hotwire.plan import operation as hotwire
 from planner.processes.milling.plan import operation as milling
+from planner.processes.trim.plan import operation as trim
 from planner.reading import (
     axes,
     cell,
@@ -55,7 +56,6 @@ from planner.reading import (
 from planner.reading import poses as pose_table
 from planner.reading import problem as problem_file
 from planner.reading.strict_yaml import Document
-from planner.trim import operation as trim
 
 
 class Section(Mapping[str, Any]):

@@ -15,7 +15,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.claims.trim import TrimsSheet
 from planner.claims.vocabulary import OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.processes.forming.claims import (
@@ -42,6 +41,7 @@ from planner.processes.milling.claims import (
     MillsSurface,
     SparesPart,
 )
+from planner.processes.trim.claims import TrimsSheet
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,16 +22,16 @@ from planner.processes.forming.plan.operation import Forming
 from planner.processes.hotwire.plan.operation import ElasticWire, Straight
 from planner.processes.milling.plan.operation import Milling
 from planner.processes.process import Process
+from planner.processes.trim.plan.operation import Trim
 from planner.reading.poses import Posed
 from planner.targets import Job
-from planner.trim.operation import Trim
 
 PROCESSES: Final[Mapping[str, Process]] = {
     "forming": Process(Forming, "planner.processes.forming.plan.job", "FormingJob"),
     "elastic_wire": Process(ElasticWire, "planner.processes.hotwire.plan.elastic.job", "ElasticJob"),
     "straight_wire": Process(Straight, "planner.processes.hotwire.plan.straight.job", "StraightJob"),
     "milling": Process(Milling, "planner.processes.milling.plan.job", "MillingJob"),
-    "trim": Process(Trim, "planner.trim.job", "TrimJob"),
+    "trim": Process(Trim, "planner.processes.trim.plan.job", "TrimJob"),
     "targets": Process(Posed, "planner.reading.poses", "PosedJob"),
 }
 GROUP: Final = "tandem.processes"

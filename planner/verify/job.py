@@ -20,13 +20,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock, StraightWire, WireJoins
-from planner.claims.trim import TrimsSheet, slot_names
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import TandemError
 from planner.problem import Arm, Problem, Setup
 from planner.processes.forming.claims import SheetState
 from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
+from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.verify.krl import reader
 from planner.verify.krl.flow import Signals
 from planner.verify.krl.reader import KrlText

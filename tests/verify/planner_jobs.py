@@ -21,8 +21,8 @@ from planner.geometry.arrays import Mesh, from_rpy, to_quaternion
 from tests import gantry_job, small_forming, urdf_text
 from tests.processes.forming.plan.shapes import cone
 from tests.processes.milling.plan import small_mill
+from tests.processes.trim.plan import small_trim
 from tests.rhino_files import Model, curve, ruled_surface
-from tests.trim import small_trim
 
 CELLS = data_dir("problems") / "cells"
 UPRIGHT = {"xyz_mm": [250, -1030, 900], "rpy_deg": [90, 0, -84.5]}

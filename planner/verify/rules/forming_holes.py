@@ -13,10 +13,10 @@ import numpy as np
 import shapely
 
 from planner.claims.claim import Claim
-from planner.claims.trim import TrimOutline, TrimsSheet
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.forming.claims import FormsPart, FormsSheet
+from planner.processes.trim.claims import TrimOutline, TrimsSheet
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.files import UnreadError
 from planner.verify.forming.shapes import PartShapes, Shape

@@ -14,7 +14,6 @@ import numpy as np
 import shapely
 
 from planner.claims.claim import ContactOnlyIn, FeedWindow
-from planner.claims.trim import TrimsSheet
 from planner.claims.vocabulary import Phase, Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
@@ -27,6 +26,7 @@ from planner.processes.milling.claims import (
     MillsSurface,
     SparesPart,
 )
+from planner.processes.trim.claims import TrimsSheet
 from planner.runtime.executor import SERIAL
 from planner.tooling import Mill
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule

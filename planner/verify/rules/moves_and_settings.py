@@ -12,8 +12,8 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from planner.claims.trim import TrimsSheet
 from planner.issues import Issue
+from planner.processes.trim.claims import TrimsSheet
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText, sync_points
 from planner.verify.outer_axes import outer_axes

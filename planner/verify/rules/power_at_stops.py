@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from planner.claims import vocabulary
-from planner.claims.trim import TrimsSheet
 from planner.problem import Controller
+from planner.processes.trim.claims import TrimsSheet
 from planner.verify.context import Context
 from planner.verify.programs.program_text import Row
 

@@ -14,10 +14,10 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.trim import TrimBlade, TrimsSheet, slot_names
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
+from planner.processes.trim.claims import TrimBlade, TrimsSheet, slot_names
 from planner.tooling import Knife, Mill, Torch
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.files import UnreadError

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.claims.trim import TrimBlade, TrimsSheet
 from planner.claims.vocabulary import Segment
 from planner.issues import Issue
+from planner.processes.trim.claims import TrimBlade, TrimsSheet
 from planner.verify.context import Context, Outcome, mm, rule
 from planner.verify.rules.trim import ANGLE_ERROR, ISSUES_SHOWN, NOTHING_TRIMMED, every
 from planner.verify.rules.trim_mill import (

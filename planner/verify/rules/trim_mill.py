@@ -11,11 +11,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.claims.trim import TrimCutter, TrimsSheet
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, IntArray
 from planner.geometry.swept_body import least_distances, places_near
 from planner.issues import Issue
+from planner.processes.trim.claims import TrimCutter, TrimsSheet
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, mm, rule
 from planner.verify.rules.trim import (
     ANGLE_ERROR,

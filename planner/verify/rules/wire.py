@@ -11,10 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from planner.claims.claim import ContactOnlyIn, FeedWindow, WireJoins
-from planner.claims.trim import TrimsSheet
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue
 from planner.processes.forming.claims import SinksHolder
+from planner.processes.trim.claims import TrimsSheet
 from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
 from planner.verify.job import TaskText, controllers
 from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep

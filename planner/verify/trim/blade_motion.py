@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from planner.claims.trim import TrimBlade
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.processes.trim.claims import TrimBlade
 from planner.verify.trim.outlines import Curve
 from planner.verify.trim.torch_motion import BEND_SHARE, PLACE_STEP, TrimWork, Way, behind
 

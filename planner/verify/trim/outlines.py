@@ -15,11 +15,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import Claim
-from planner.claims.trim import TrimOutline, TrimsSheet, slot_names
 from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
 from planner.processes.milling.claims import DrawnCurve
+from planner.processes.trim.claims import TrimOutline, TrimsSheet, slot_names
 from planner.verify.files import UnreadError
 from planner.verify.files.sheets import sheet_face, tolerance_of
 from planner.verify.milling.surface_passes import Laid

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from planner.claims.trim import TrimsSheet, slot_names
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.issues import Issue
+from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.tooling import Torch
 from planner.verify.context import Context
 from planner.verify.files import UnreadError

@@ -12,11 +12,11 @@ import types
 import numpy as np
 import pytest
 
-from planner.claims.trim import TrimsSheet
 from planner.post import write
 from planner.post.krl import controller_files as krl_files
 from planner.post.rapid import controller_files as rapid_files
 from planner.problem import Interlock, PowerOutput
+from planner.processes.trim.claims import TrimsSheet
 from planner.report import setup_sheet
 from planner.tooling import torch
 from planner.verify.context import Context

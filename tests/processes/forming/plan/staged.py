@@ -13,8 +13,8 @@ from planner.geometry.arrays import Mesh
 from planner.geometry.units import MM
 from planner.problem import Problem
 from tests.processes.forming.plan.shapes import revolved
+from tests.processes.trim.plan.small_trim import data
 from tests.small_forming import write
-from tests.trim.small_trim import data
 
 DEPTHS = (8.0, 3.0)
 """Depths [mm] of the dish and of the sump below it."""

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from planner.claims.claim import Claim
-from planner.claims.trim import TrimsSheet
 from planner.claims.vocabulary import Segment
 from planner.motion import solve
 from planner.post import write as post
 from planner.processes import registry
 from planner.processes.forming.claims import FormsInOrder, FormsPart, FormsSheet
+from planner.processes.trim.claims import TrimsSheet
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.prove import Prover
@@ -28,7 +28,7 @@ from planner.verify.rules.forming_part import forming_part
 from planner.verify.trim import outlines
 from planner.verify.trim.torch_motion import Trimming
 from tests.processes.forming.plan.staged import DEPTHS, SUMP_RADIUS, problem
-from tests.trim.test_proof import moved
+from tests.processes.trim.plan.test_proof import moved
 from tests.verify.milling_job import in_procedure
 
 Claims = Mapping[str, tuple[Claim, ...]]

@@ -18,14 +18,14 @@ from planner.processes import registry
 from planner.processes.forming.plan.job import FormingJob
 from planner.processes.forming.plan.process_plan import lay_all
 from planner.processes.forming.plan.stages import formed_sheet, hole_issues, shown
-from planner.trim.job import TrimJob
+from planner.processes.trim.plan.job import TrimJob
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.rules.forming_part import forming_part
 from tests.processes.forming.plan.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
+from tests.processes.trim.plan.small_trim import data
 from tests.small_forming import die, dish, dish_with_a_dome, upside_down, write
 from tests.small_forming import problem as one_forming
-from tests.trim.small_trim import data
 
 ACROSS = 1.0 / np.cos(np.deg2rad(15.0))
 """Longest cut [mm] through a sheet of 1 mm by a torch that leans up to 15 degrees."""

@@ -11,8 +11,8 @@ import shapely
 from planner.geometry.arrays import BoolArray, FloatArray, unit
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.trim.face import Face, Laid, apart, offset
-from planner.trim.operation import OutlineFile, Trim
+from planner.processes.trim.plan.face import Face, Laid, apart, offset
+from planner.processes.trim.plan.operation import OutlineFile, Trim
 
 STARTS: Final = 48
 """Places about a curve at which a slot is tried to begin."""

@@ -10,10 +10,10 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue
+from planner.processes.trim.plan.cutting import Cutting
+from planner.processes.trim.plan.operation import Trim
+from planner.processes.trim.plan.route import TRIM
 from planner.targets import Targets
-from planner.trim.cutting import Cutting
-from planner.trim.operation import Trim
-from planner.trim.route import TRIM
 
 MEAN_FEED_FROM_REST: Final = 0.66
 """Part of the feed that moves from or to a stop have on average, as they are faster in between."""

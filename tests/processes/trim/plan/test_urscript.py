@@ -17,9 +17,9 @@ from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.urscript import reader
 from planner.verify.urscript.syntax_tree import AwaitArc, GuardArc
+from tests.processes.trim.plan.small_trim import OUTLINES, Job, data, of_ur
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
-from tests.trim.small_trim import OUTLINES, Job, data, of_ur
 
 Change = Callable[[str], str]
 FILE = "robot/trimmed.script"

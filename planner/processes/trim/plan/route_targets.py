@@ -14,15 +14,15 @@ from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
 from planner.processes.forming.plan.job import poses
+from planner.processes.trim.plan.claims import told
+from planner.processes.trim.plan.cutting import Cutting, Trimmer
+from planner.processes.trim.plan.operation import KnifeCut, MillCut, Trim
+from planner.processes.trim.plan.pace import shares, stands
+from planner.processes.trim.plan.route import TRIM, Route
+from planner.processes.trim.plan.shown import Way, exhibits
+from planner.processes.trim.plan.slots import Slot, Wanted
+from planner.processes.trim.plan.stretches import ahead
 from planner.targets import Action, Rounding, ScrewFreedom, Targets
-from planner.trim.claims import told
-from planner.trim.cutting import Cutting, Trimmer
-from planner.trim.operation import KnifeCut, MillCut, Trim
-from planner.trim.pace import shares, stands
-from planner.trim.route import TRIM, Route
-from planner.trim.shown import Way, exhibits
-from planner.trim.slots import Slot, Wanted
-from planner.trim.stretches import ahead
 
 ROUNDED_SHARE: Final = 0.25
 """Share of the tolerance that rounded corners may take."""

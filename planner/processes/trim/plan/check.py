@@ -16,10 +16,10 @@ from planner.geometry.mesh import small_pieces
 from planner.geometry.swept_body import RoundBody, places_near
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.trim.cutting import Cutting, flute_body
-from planner.trim.face import Face, apart
-from planner.trim.operation import Trim
-from planner.trim.slots import Slot, Wanted
+from planner.processes.trim.plan.cutting import Cutting, flute_body
+from planner.processes.trim.plan.face import Face, apart
+from planner.processes.trim.plan.operation import Trim
+from planner.processes.trim.plan.slots import Slot, Wanted
 
 ROUNDING: Final = 1e-6
 """Room [m] for rounding where places are left out that are too far off."""

@@ -13,8 +13,8 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.swept_body import RoundBody
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.processes.trim.plan.operation import KnifeCut, MillCut, Trim
 from planner.tooling import Blade, Cutter, Knife, Mill, Tool, Torch
-from planner.trim.operation import KnifeCut, MillCut, Trim
 
 Trimmer = Torch | Mill | Knife
 """Tools that trim."""

@@ -8,8 +8,8 @@ import random
 import numpy as np
 import pytest
 
-from tests.trim.small_trim import OUTLINES, Job, of_ur
-from tests.trim.ur_machine import TICK, Machine
+from tests.processes.trim.plan.small_trim import OUTLINES, Job, of_ur
+from tests.processes.trim.plan.ur_machine import TICK, Machine
 
 FILE = "robot/trimmed.script"
 LOST = "doArc is off, no diArcOk, or the torch stood: the program ends. Move it out by hand."

@@ -15,7 +15,7 @@ from planner.post import write as post
 from planner.processes import registry
 from planner.verify.krl.parser import Reader
 from planner.verify.krl.syntax_tree import Await
-from tests.trim.small_trim import KUKA, NUMBERS, OUTLINES, Job, problem
+from tests.processes.trim.plan.small_trim import KUKA, NUMBERS, OUTLINES, Job, problem
 
 Programs = dict[str, str]
 MAIN = "robot/trimmed.src"

@@ -19,7 +19,7 @@ from planner.verify.forming.state import Forming
 from planner.verify.rules.trim import _closed
 from planner.verify.trim import outlines
 from planner.verify.trim.torch_motion import Trimming, Way
-from tests.trim.small_trim import Job
+from tests.processes.trim.plan.small_trim import Job
 from tests.verify.milling_job import in_procedure
 
 Programs = dict[str, str]

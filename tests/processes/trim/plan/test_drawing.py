@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.claims.trim import TrimsSheet
 from planner.issues import Issue, TandemError
 from planner.processes import registry
-from planner.trim.operation import Trim, every_outline
+from planner.processes.trim.claims import TrimsSheet
+from planner.processes.trim.plan.operation import Trim, every_outline
 from planner.verify.context import Context
 from planner.verify.files import UnreadError
 from planner.verify.forming.state import Forming
 from planner.verify.prove import TRIM_RULES
 from planner.verify.trim.outlines import drawn, expanded, order, worked_out
 from planner.verify.trim.torch_motion import Trimming
+from tests.processes.trim.plan.small_trim import Job, problem
 from tests.rhino_files import Model
-from tests.trim.small_trim import Job, problem
 
 rhino3dm = pytest.importorskip("rhino3dm")
 ezdxf = pytest.importorskip("ezdxf")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from planner.claims import vocabulary
 from planner.claims.claim import Claim, ContactOnlyIn
-from planner.claims.trim import SurfaceFile, TrimBlade, TrimCutter, TrimOutline, TrimsSheet
 from planner.claims.vocabulary import (
     DialogueStep,
     OperatorDialogue,
@@ -19,9 +18,10 @@ from planner.claims.vocabulary import (
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
 from planner.processes.milling.claims import DrawnCurve
+from planner.processes.trim.claims import SurfaceFile, TrimBlade, TrimCutter, TrimOutline, TrimsSheet
+from planner.processes.trim.plan.cutting import Trimmer, kerf_of
+from planner.processes.trim.plan.operation import KnifeCut, MillCut, OutlineFile, Trim
 from planner.tooling import Knife, Mill, Torch
-from planner.trim.cutting import Trimmer, kerf_of
-from planner.trim.operation import KnifeCut, MillCut, OutlineFile, Trim
 
 
 def claims(op: Trim, setup: Setup, tool: Trimmer, rough: float) -> tuple[Claim, ...]:

@@ -17,12 +17,12 @@ from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, has_errors
 from planner.problem import Setup
 from planner.processes.milling.plan.tool_path import sharp, thinned
-from planner.trim import check
-from planner.trim.cutting import Cutting
-from planner.trim.face import Face, Laid, apart
-from planner.trim.operation import KnifeCut, Trim
-from planner.trim.slots import Slot, Wanted
-from planner.trim.stretches import ahead, turning
+from planner.processes.trim.plan import check
+from planner.processes.trim.plan.cutting import Cutting
+from planner.processes.trim.plan.face import Face, Laid, apart
+from planner.processes.trim.plan.operation import KnifeCut, Trim
+from planner.processes.trim.plan.slots import Slot, Wanted
+from planner.processes.trim.plan.stretches import ahead, turning
 
 TRIM: Final = "trim"
 """The kind of segments in which a torch cuts, and comes and goes."""

@@ -13,15 +13,15 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.claims.trim import MOST_STRETCHES
 from planner.geometry.arrays import BoolArray, FloatArray, dots, unit
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
+from planner.processes.trim.claims import MOST_STRETCHES
+from planner.processes.trim.plan.cutting import Cutting
+from planner.processes.trim.plan.face import Face, Laid, apart
+from planner.processes.trim.plan.operation import KnifeCut, Trim
+from planner.processes.trim.plan.slots import Slot, Wanted
 from planner.tooling import Blade
-from planner.trim.cutting import Cutting
-from planner.trim.face import Face, Laid, apart
-from planner.trim.operation import KnifeCut, Trim
-from planner.trim.slots import Slot, Wanted
 
 OVERLAP: Final = 0.1 * MM
 """How much farther than to a corner a stretch is cut [m], so that it meets the next one there."""

@@ -28,18 +28,18 @@ from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Formed, Hole
 from planner.processes.forming.plan.features.tree import LEAST_BUMP, build
 from planner.processes.forming.plan.stages import formed_sheet, shown
+from planner.processes.trim.plan import check
+from planner.processes.trim.plan.claims import claims
+from planner.processes.trim.plan.cutting import Cutting, Trimmer, cutting, mounted
+from planner.processes.trim.plan.face import Face, lay
+from planner.processes.trim.plan.operation import Trim, every_outline, outline_notes
+from planner.processes.trim.plan.pace import too_slow
+from planner.processes.trim.plan.route import route
+from planner.processes.trim.plan.route_targets import targets_of
+from planner.processes.trim.plan.slots import Slot, Wanted, slots
+from planner.processes.trim.plan.stretches import stretches
 from planner.reading import sheet as sheet_file
 from planner.targets import Job, Targets
-from planner.trim import check
-from planner.trim.claims import claims
-from planner.trim.cutting import Cutting, Trimmer, cutting, mounted
-from planner.trim.face import Face, lay
-from planner.trim.operation import Trim, every_outline, outline_notes
-from planner.trim.pace import too_slow
-from planner.trim.route import route
-from planner.trim.route_targets import targets_of
-from planner.trim.slots import Slot, Wanted, slots
-from planner.trim.stretches import stretches
 
 FEATURE_STEP: Final = 0.5 * MM
 """Distance of the slices of features [m]; what each one moves does not hang on it."""

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner.claims.trim import TrimsSheet
 from planner.geometry.arrays import Mesh
 from planner.processes import registry
-from planner.trim.face import Face
+from planner.processes.trim.claims import TrimsSheet
+from planner.processes.trim.plan.face import Face
 from planner.verify.trim.outlines import SheetSide
+from tests.processes.trim.plan.small_trim import OUTLINES, data, milled
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
-from tests.trim.small_trim import OUTLINES, data, milled
 
 SIGMA = 0.03e-3
 """Standard deviation of the vertices' heights [m]: the thin facets about the middle lean by 20 deg."""

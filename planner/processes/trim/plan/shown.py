@@ -10,10 +10,10 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
+from planner.processes.trim.plan.cutting import Cutting, Trimmer
+from planner.processes.trim.plan.operation import KnifeCut, MillCut, Trim
+from planner.processes.trim.plan.slots import Slot, Wanted
 from planner.tooling import Knife, Mill, Torch
-from planner.trim.cutting import Cutting, Trimmer
-from planner.trim.operation import KnifeCut, MillCut, Trim
-from planner.trim.slots import Slot, Wanted
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,12 +15,12 @@ from planner.geometry.arrays import Mesh
 from planner.issues import Issue, TandemError
 from planner.post import write as post
 from planner.processes import registry
+from planner.processes.trim.plan.face import Face, apart, lay, offset
 from planner.tooling import torch
-from planner.trim.face import Face, apart, lay, offset
 from planner.verify.trim.outlines import winding
+from tests.processes.trim.plan.small_trim import data, of_ur, problem
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
-from tests.trim.small_trim import data, of_ur, problem
 
 ROUND = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 16}}
 

@@ -11,9 +11,9 @@ from planner import pipeline
 from planner.issues import TandemError
 from planner.problem import Problem
 from planner.processes import registry
+from tests.processes.trim.plan.small_trim import data
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
-from tests.trim.small_trim import data
 
 BALL = {"kind": "ball_tool", "radius_mm": 6, "length_mm": 180}
 FORM = {"name": "form", "process": "forming", "arms": ["robot"], "mode": "spif", "stepdown_mm": 2}

@@ -22,13 +22,13 @@ from planner.issues import TandemError
 from planner.motion import solve
 from planner.post import write
 from planner.processes import registry
+from planner.processes.trim.plan.check import gouged
+from planner.processes.trim.plan.cutting import Cutting, shank_body
+from planner.processes.trim.plan.face import Face, lay
+from planner.processes.trim.plan.operation import OutlineFile
+from planner.processes.trim.plan.slots import Wanted
 from planner.targets import ScrewFreedom
 from planner.tooling import mill
-from planner.trim.check import gouged
-from planner.trim.cutting import Cutting, shank_body
-from planner.trim.face import Face, lay
-from planner.trim.operation import OutlineFile
-from planner.trim.slots import Wanted
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
 from planner.verify.prove import Prover
@@ -38,10 +38,17 @@ from planner.verify.rules.wire import signals
 from planner.verify.trim import outlines
 from planner.verify.trim.torch_motion import Trimming
 from tests import urdf_text
+from tests.processes.trim.plan.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
+from tests.processes.trim.plan.test_proof import (
+    before_last_move,
+    leant,
+    moved,
+    replaced,
+    timed,
+    without_moves,
+)
 from tests.small_forming import die, dish
 from tests.small_forming import write as write_forming
-from tests.trim.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
-from tests.trim.test_proof import before_last_move, leant, moved, replaced, timed, without_moves
 from tests.verify import handshake_job
 from tests.verify.milling_job import in_procedure
 
