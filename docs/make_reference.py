@@ -18,6 +18,7 @@ from planner.issue_codes import CODES
 from planner.processes.forming.plan import operation as forming
 from planner.processes.hotwire.plan import operation
 from planner.processes.milling.plan import operation as milling_operation
+from planner.processes.poses.plan import job
 from planner.processes.trim.plan import operation as trim_operation
 from planner.reading import (
     axes,
@@ -27,7 +28,6 @@ from planner.reading import (
     loads,
     part_ruled,
     part_surfaces,
-    poses,
     problem,
     rails,
     rhino,
@@ -106,8 +106,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`by` of `trim`, `kind: torch`", "", trim_operation.TorchCut),
     ("`by` of `trim`, `kind: mill`", "", trim_operation.MillCut),
     ("`by` of `trim`, `kind: knife`", "", trim_operation.KnifeCut),
-    ("Process `targets`", "process-targets", poses.Posed),
-    ("`free` of `targets`, each", "", poses.FreeAxis),
+    ("Process `targets`", "process-targets", job.Posed),
+    ("`free` of `targets`, each", "", job.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell.CellFile),
     ("`cell.arms`, each", "", cell.ArmFile),
     ("`track` of an arm", "", rails.TrackFile),

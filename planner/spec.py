@@ -34,6 +34,7 @@ from planner.processes import registry
 from planner.processes.forming.plan import operation as forming
 from planner.processes.hotwire.plan import operation as hotwire
 from planner.processes.milling.plan import operation as milling
+from planner.processes.poses.plan import job as pose_table
 from planner.processes.trim.plan import operation as trim
 from planner.reading import (
     axes,
@@ -53,7 +54,6 @@ from planner.reading import (
     strict_yaml,
     values,
 )
-from planner.reading import poses as pose_table
 from planner.reading import problem as problem_file
 from planner.reading.strict_yaml import Document
 

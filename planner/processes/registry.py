@@ -21,9 +21,9 @@ from planner.problem import Problem
 from planner.processes.forming.plan.operation import Forming
 from planner.processes.hotwire.plan.operation import ElasticWire, Straight
 from planner.processes.milling.plan.operation import Milling
+from planner.processes.poses.plan.job import Posed
 from planner.processes.process import Process
 from planner.processes.trim.plan.operation import Trim
-from planner.reading.poses import Posed
 from planner.targets import Job
 
 PROCESSES: Final[Mapping[str, Process]] = {
@@ -32,7 +32,7 @@ PROCESSES: Final[Mapping[str, Process]] = {
     "straight_wire": Process(Straight, "planner.processes.hotwire.plan.straight.job", "StraightJob"),
     "milling": Process(Milling, "planner.processes.milling.plan.job", "MillingJob"),
     "trim": Process(Trim, "planner.processes.trim.plan.job", "TrimJob"),
-    "targets": Process(Posed, "planner.reading.poses", "PosedJob"),
+    "targets": Process(Posed, "planner.processes.poses.plan.job", "PosedJob"),
 }
 GROUP: Final = "tandem.processes"
 """Entry points by which installed packages add processes."""

@@ -25,7 +25,7 @@ from planner.files import FILE_KEYS, write_whole
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
-from planner.reading import poses as pose_table
+from planner.processes.poses.plan import job as pose_table
 from planner.reading.strict_yaml import MAX_DEPTH
 
 SQUARE: Final = 1e-6

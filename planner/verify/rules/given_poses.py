@@ -11,9 +11,9 @@ import numpy as np
 from planner.claims.claim import FollowsPoses, FollowsTable, FreeAxis
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
+from planner.processes.poses.proof import pose_passing
+from planner.processes.poses.proof.pose_passing import Passing, PoseTable, Way, passing, slow_places, values
 from planner.verify.context import FEED_SLACK, Context, Outcome, mm, rule
-from planner.verify.replay import pose_passing
-from planner.verify.replay.pose_passing import Passing, PoseTable, Way, passing, slow_places, values
 from planner.verify.trajectories.tool_speeds import peaks
 
 FEED_ROUNDING: Final = 1.002

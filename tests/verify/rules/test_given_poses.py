@@ -18,9 +18,9 @@ from planner import pipeline
 from planner.issues import Severity, TandemError
 from planner.motion.trajectory import move_limits as planned
 from planner.processes import registry
+from planner.processes.poses.proof import pose_passing as proven
 from planner.targets import Targets
 from planner.verify.prove import Prover
-from planner.verify.replay import pose_passing as proven
 from tests.verify import bead_job
 
 Texts = dict[str, str]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from planner.geometry.arrays import exp_rotation, exp_twist, from_parts
-from planner.verify.replay.pose_passing import MOST_MISSED, passing, values
+from planner.processes.poses.proof.pose_passing import MOST_MISSED, passing, values
 from tests.work import counted
 
 TOLERANCE = (5e-5, 1e-3)

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from planner import pipeline
 from planner.catalogue import robots
 from planner.processes import registry
-from planner.reading import poses
-from planner.verify.replay import pose_passing
+from planner.processes.poses.plan import job
+from planner.processes.poses.proof import pose_passing
 
 ROWS = 12
 NAMES = ["robot." + key for key in (*pose_passing.PLACE_COLUMNS, *pose_passing.TURN_COLUMNS)]
@@ -109,16 +109,16 @@ def test_short_moves_are_at_their_feed(tmp_path: Path, tolerance: float) -> None
 def spoiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Puts a fault into the planner's reader of tables."""
     if name == "shifted by 3 mm":
-        old = poses._poses
+        old = job._poses
 
         def shifted(*args):  # type: ignore[no-untyped-def]
             out = old(*args)
             out[:, 0, 3] += 3e-3
             return out
 
-        monkeypatch.setattr(poses, "_poses", shifted)
+        monkeypatch.setattr(job, "_poses", shifted)
     elif name == "ten times the feed":
-        monkeypatch.setattr(poses.PosedJob, "targets", _changed(lambda t: {"feed": 10.0 * t.feed}))
+        monkeypatch.setattr(job.PosedJob, "targets", _changed(lambda t: {"feed": 10.0 * t.feed}))
     elif name == "a range without an end":
         wide = {"lower": -0.3, "upper": 0.3}
 
@@ -128,17 +128,17 @@ def spoiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
             bounds = {key: value * count for key, value in wide.items()}
             return {"freedoms": (dataclasses.replace(own, prefer=0.25 * count, weight=1e3, **bounds),)}
 
-        monkeypatch.setattr(poses.PosedJob, "targets", _changed(opened))
+        monkeypatch.setattr(job.PosedJob, "targets", _changed(opened))
     elif name == "a row left out":
 
         def without(targets):  # type: ignore[no-untyped-def]
             return {"pose": {"robot": np.repeat(targets.pose["robot"][::2], 2, axis=0)[: targets.count]}}
 
-        monkeypatch.setattr(poses.PosedJob, "targets", _changed(without))
+        monkeypatch.setattr(job.PosedJob, "targets", _changed(without))
 
 
 def _changed(change):  # type: ignore[no-untyped-def]
-    old = poses.PosedJob.targets
+    old = job.PosedJob.targets
 
     def targets(self):  # type: ignore[no-untyped-def]
         made = old(self)

@@ -10,7 +10,7 @@ import yaml
 
 from planner import pipeline
 from planner.issues import TandemError
-from planner.reading.poses import MAX_TABLE_BYTES as MAX_TABLE
+from planner.processes.poses.plan.job import MAX_TABLE_BYTES as MAX_TABLE
 from tests import small_problem
 from tests.refusals import OPERATION, POSES, change, codes, refused
 

@@ -1,0 +1,1 @@
+"""Targets and claims of poses that the user supplies."""

@@ -1,0 +1,1 @@
+"""Proof that the motion passes the poses that the user supplied."""
