@@ -20,8 +20,8 @@ import numpy as np
 from bench.proc import ONE_THREAD, memory, planned
 from planner import pipeline
 from planner.cell import clearance
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.prove import Prover

@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from planner.catalogue.robots import robot, robot_names
-from tests.post import fidelity
+from tests.languages.writing import fidelity
 
 TARGETS = 100_000
 

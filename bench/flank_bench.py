@@ -84,8 +84,8 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
 
     timed("start-up", load)
     from planner import pipeline
+    from planner.languages.writing import write
     from planner.motion import solve
-    from planner.post import write
     from planner.processes import registry
     from planner.processes.milling.plan.process_plan import work
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from planner.languages.writing.write import programs
 from planner.plans import Plan
-from planner.post.write import programs
 from planner.problem import Problem
-from tests.post import krl_job, synthetic
+from tests.languages.writing import krl_job, synthetic
 
 MOVES = 100_000
 REPEATS = 3

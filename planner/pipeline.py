@@ -47,8 +47,8 @@ def ready() -> None:
     to plan later may do early. Ctrl-C waits for its end: an import that is interrupted may swallow it."""
     with deferred_sigint(), gc_frozen():
         from planner import plans  # noqa: F401
+        from planner.languages.writing import write  # noqa: F401
         from planner.motion import solve  # noqa: F401
-        from planner.post import write  # noqa: F401
         from planner.report import output  # noqa: F401
         from planner.verify import partial, prove  # noqa: F401
 
@@ -245,8 +245,8 @@ def _planned(
     ``before``: what it is planned like."""
     tell("targets", 0.0)
     ready()
+    from planner.languages.writing import write
     from planner.motion import sag, solve
-    from planner.post import write
     from planner.report import output
     from planner.verify import prove
 
@@ -333,9 +333,9 @@ def _checked(problem: Problem | spec.Problem, advise: bool, most: int | None, ma
     except TandemError as error:
         return Looked(error.issues, 0, 0)
     ready()
+    from planner.languages.writing import write
     from planner.motion import solve
     from planner.motion.first_look import FirstLook
-    from planner.post import write
 
     notes = _notes(problem)
     looked, of = 0, 0
@@ -522,7 +522,7 @@ def _with_margins(
     made: Plan, problem: Problem, programs: Mapping[str, str], proof: Proof
 ) -> Mapping[str, str]:
     """The proven programs with the proof's margins in their headers, which must change comments alone."""
-    from planner.post import write
+    from planner.languages.writing import write
     from planner.verify import result
 
     final = write.programs(made, problem, result.text(proof))

@@ -14,8 +14,8 @@ from planner import pipeline
 from planner.catalogue.robots import data_dir, robot
 from planner.geometry.arrays import inverse, log_rotation
 from planner.issues import TandemError
-from planner.post import write
-from planner.post.trajectories import clocks, curves, program, straight_ways
+from planner.languages.trajectories.writer import clocks, curves, program, straight_ways
+from planner.languages.writing import write
 from planner.reading.urdf import read_chain
 from planner.report import setup_sheet
 from planner.shopfloor.loading import proven

@@ -15,9 +15,9 @@ from planner import pipeline
 from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import exp_rotation, from_rpy, to_quaternion
 from planner.issues import TandemError, has_errors
+from planner.languages.writing import write
 from planner.motion import solve
 from planner.motion.planning_scene import FULL_TURN, Scene
-from planner.post import write
 from planner.processes import registry
 from planner.report import setup_sheet
 from tests import small_problem, urdf_text

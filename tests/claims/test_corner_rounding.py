@@ -9,9 +9,9 @@ import pytest
 
 from planner.claims.vocabulary import Segment
 from planner.geometry import corner_rounding
+from planner.languages.krl.writer import syntax
+from planner.languages.rapid.writer import syntax as rapid_syntax
 from planner.motion.trajectory import joint_path
-from planner.post.krl import syntax
-from planner.post.rapid import syntax as rapid_syntax
 from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.plan import job as forming_job
 from planner.processes.hotwire.plan.straight import job as straight_job
@@ -20,8 +20,8 @@ from planner.processes.milling.plan import job as milling_job
 from planner.targets import Rounding, lever
 from planner.tooling import bow
 from planner.verify.replay.moves import end_rates, time_law_of
-from tests.post import synthetic
-from tests.post.reading import moves, numbers, programs
+from tests.languages.writing import synthetic
+from tests.languages.writing.reading import moves, numbers, programs
 from tests.processes.hotwire.plan import foam_blocks
 
 FACE = (np.zeros((3, 3)), np.array([[0, 1, 2]]))

@@ -19,9 +19,9 @@ from planner.catalogue.robots import data_dir
 from planner.claims.claim import FeedWindow
 from planner.claims.vocabulary import Segment, clash, fold
 from planner.issues import Severity, TandemError, given_wrong
-from planner.post import write
-from planner.post.krl.syntax import comment, mark
-from planner.post.rapid.syntax import procedure
+from planner.languages.krl.writer.syntax import comment, mark
+from planner.languages.rapid.writer.syntax import procedure
+from planner.languages.writing import write
 from planner.processes import registry
 from planner.verify import prove
 from planner.verify.krl.parser import marked_comment as marked

@@ -39,7 +39,14 @@ def test_check_loads_no_pictures() -> None:
     assert not _loaded(code, ("matplotlib",))
 
 
-PLANNING = ("pydrake", "planner.cell", "planner.motion", "planner.post", "planner.verify", "planner.report")
+PLANNING = (
+    "pydrake",
+    "planner.cell",
+    "planner.motion",
+    "planner.languages.writing",
+    "planner.verify",
+    "planner.report",
+)
 """What plans, proves and draws, and loads Drake for that."""
 
 

@@ -12,8 +12,15 @@ import yaml
 from planner import pipeline
 from planner.claims import vocabulary
 from planner.issues import TandemError
-from planner.post.program import plain
-from planner.post.rapid.syntax import BOX_LINE, STRING_LENGTH, box, identifier, quoted, write_lines
+from planner.languages.rapid.writer.syntax import (
+    BOX_LINE,
+    STRING_LENGTH,
+    box,
+    identifier,
+    quoted,
+    write_lines,
+)
+from planner.languages.writing.layout import plain
 from tests.reading.test_bad_input import CAPITAL, change
 
 LONG = "doAVeryLongNameOfASignal"  # 24 characters, as long as a name may be

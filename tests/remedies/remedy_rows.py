@@ -13,7 +13,7 @@ import yaml
 from planner import pipeline
 from planner.catalogue.materials import foam
 from planner.issues import Issue, TandemError
-from planner.post import write as post
+from planner.languages.writing import write as post
 from planner.processes import registry
 from planner.processes.hotwire.plan import wire
 from planner.processes.hotwire.plan.kerf import calibration

@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from planner.claims.vocabulary import Handshake
 from planner.issues import Issue
-from planner.post.krl import controller_files as krl_files
-from planner.post.steps import build
-from planner.post.write import notes, programs
+from planner.languages.krl.writer import controller_files as krl_files
+from planner.languages.writing.steps import build
+from planner.languages.writing.write import notes, programs
 from planner.problem import Controller
 from planner.targets import Action
-from tests.post import krl_job, synthetic, test_layout
+from tests.languages.writing import krl_job, synthetic, test_layout
 from tests.refusals import change
 from tests.remedies.advice import Said, Word
 from tests.remedies.remedy_rows import BOTH, HELD, ON_TABLE, STRAIGHT, Row, Yaml, found, lay, load

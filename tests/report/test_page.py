@@ -18,7 +18,7 @@ from planner.problem import Problem
 from planner.report import markup, motion_charts, output, page_sections, setup_sheet
 from planner.report.output import Extra
 from planner.verify.result import Proof, RuleResult
-from tests.post import krl_job
+from tests.languages.writing import krl_job
 from tests.report import synthetic_job as job
 from tests.verify import straight_job
 

@@ -19,7 +19,7 @@ from planner.claims.vocabulary import (
     power_on_steps,
     question_step,
 )
-from planner.post import write
+from planner.languages.writing import write
 from planner.targets import Action
 from tests.verify import small_job, straight_job
 from tests.verify.small_job import AWAY, LENGTH, SIGNAL

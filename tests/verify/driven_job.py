@@ -9,7 +9,7 @@ import functools
 import hashlib
 import json
 
-from planner.post import write
+from planner.languages.writing import write
 from tests.verify import held_job, small_job, straight_job
 
 BOW, BENT = "straight.trajectory.jsonl", "small.trajectory.jsonl"

@@ -8,7 +8,7 @@ import numpy as np
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
-from planner.post.trajectories.straight_ways import Driven, solved
+from planner.languages.trajectories.writer.straight_ways import Driven, solved
 from tests.verify import held_job
 from tests.verify.driven_job import rows_of, sealed, written
 from tests.verify.registry import Table, into, pick

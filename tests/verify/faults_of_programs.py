@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.post.handshake import Ask, AwaitLine, AwaitRunning, Halt, SetLine
+from planner.languages.writing.handshake import Ask, AwaitLine, AwaitRunning, Halt, SetLine
 from tests.verify.planner_faults import Fault, always, fields, given, of, result
 
 

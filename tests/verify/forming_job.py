@@ -15,8 +15,8 @@ import numpy as np
 
 from planner.claims.vocabulary import Handshake, OperatorDialogue, Segment, Sentence, question_step
 from planner.geometry.arrays import from_parts, from_rpy
+from planner.languages.writing import write
 from planner.plans import Plan
-from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
 from planner.processes.forming.claims import (
     FormingFeed,

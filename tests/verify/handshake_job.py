@@ -6,7 +6,7 @@ import dataclasses
 import functools
 
 from planner.claims.vocabulary import DialogueStep, Handshake, OperatorDialogue, Sentence, question_step
-from planner.post import write
+from planner.languages.writing import write
 from planner.problem import Controller
 from planner.targets import Action
 from tests import line_ends

@@ -24,8 +24,8 @@ from planner.claims.claim import (
 )
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import exp_twist, from_rpy
+from planner.languages.writing import write
 from planner.plans import Plan
-from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
 from planner.tooling import bow, gripper_plate
 from tests import line_ends

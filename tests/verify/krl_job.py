@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 from planner.claims.claim import FollowsPoses
-from planner.post import write
+from planner.languages.writing import write
 from tests.verify import straight_job
 
 MODEL = "kr10_r1100"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.result import Proof

@@ -26,8 +26,8 @@ from planner.claims.vocabulary import (
     question_step,
 )
 from planner.geometry.arrays import from_parts, from_rpy, inverse
+from planner.languages.writing import write
 from planner.plans import OperationPlan, Plan
-from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
 from planner.targets import Action, Targets
 from planner.tooling import wire_holder

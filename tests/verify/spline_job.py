@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from planner import pipeline
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.verify.prove import Prover
 from tests import small_problem

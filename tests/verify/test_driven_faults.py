@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.post import write
-from planner.post.trajectories import curves, program, rows, straight_ways
+from planner.languages.trajectories.writer import curves, program, rows, straight_ways
+from planner.languages.writing import write
 from planner.verify.prove import Prover
 from tests.verify import driven_job, small_job, straight_job
 

@@ -37,7 +37,7 @@ NEVER = (
     "planner.processes.hotwire.plan",
     "planner.processes.forming.plan",
     "planner.processes.milling.plan",
-    "planner.post",
+    "planner.languages.writing",
     "planner.report",
 )
 """Packages and modules of which nothing may be imported in the proof, by any way of writing it."""

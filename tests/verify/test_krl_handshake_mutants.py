@@ -9,11 +9,11 @@ import re
 
 import pytest
 
-from planner.post import write
+from planner.languages.writing import write
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import handshake, synchronisation
-from tests.post import krl_job
+from tests.languages.writing import krl_job
 
 KUKAS = ("kr10_r1100", "kr10_r1100")
 MIXED = ("irb140", "kr10_r1100")

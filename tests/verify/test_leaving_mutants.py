@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from planner.claims.claim import ContactOnlyIn
-from planner.post import write
+from planner.languages.writing import write
 from planner.targets import Action
 from planner.verify.context import Context
 from planner.verify.prove import Prover

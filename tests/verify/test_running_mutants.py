@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from planner.claims.vocabulary import Handshake, PartnerSignals, SignalWire
-from planner.post import write
+from planner.languages.writing import write
 from planner.verify.context import Context
 from planner.verify.rules import handshake as rules_handshake
 from planner.verify.rules import moves_and_settings
-from tests.post import krl_job
+from tests.languages.writing import krl_job
 from tests.verify import handshake_job
 
 FORMS = [("four_phase", 1), ("toggle", 3)]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.post import write
+from planner.languages.writing import write
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import handshake as rules_handshake

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from planner.geometry.arrays import from_rpy
-from planner.post import write
-from planner.post.urscript import program, syntax
+from planner.languages.urscript.writer import program, syntax
+from planner.languages.writing import write
 from planner.verify import result
 from planner.verify.prove import Prover
 from tests import urdf_text

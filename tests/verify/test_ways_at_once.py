@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.post import write
+from planner.languages.writing import write
 from tests import line_ends
 from tests.verify import provers, small_job
 from tests.verify.rapid_edits import edit, lines, name, put

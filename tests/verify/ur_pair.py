@@ -19,7 +19,7 @@ from planner.claims.vocabulary import (
     question_step,
 )
 from planner.geometry.arrays import from_rpy
-from planner.post import write
+from planner.languages.writing import write
 from planner.problem import Arm, Controller
 from planner.targets import Action
 from planner.tooling import wire_holder

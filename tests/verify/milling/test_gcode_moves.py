@@ -20,8 +20,8 @@ from planner.claims.claim import ContactOnlyIn
 from planner.claims.vocabulary import OperatorDialogue
 from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.processes.milling.claims import MillsAlong
 from planner.processes.milling.plan import check

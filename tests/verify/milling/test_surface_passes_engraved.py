@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from planner.geometry.arrays import FloatArray
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.processes.milling.claims import Engraves, MillsAlong
 from planner.processes.milling.plan import job as milling_job

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from planner.geometry.arrays import FloatArray
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.processes.milling.claims import MillsFlank
 from planner.processes.milling.plan import cutter_contact, flank_cut

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.post import write
+from planner.languages.writing import write
 from planner.verify import job
 from planner.verify.context import Context
 from planner.verify.programs import handshake_restarts, handshake_windows

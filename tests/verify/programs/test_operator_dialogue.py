@@ -7,8 +7,8 @@ import re
 import pytest
 
 from planner.claims import vocabulary
-from planner.post.krl import syntax as krl_syntax
-from planner.post.rapid import syntax
+from planner.languages.krl.writer import syntax as krl_syntax
+from planner.languages.rapid.writer import syntax
 from planner.verify.programs.operator_dialogue import fit, on_panel
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from planner.catalogue.robots import robot
 from planner.geometry.arrays import from_rpy, inverse
-from planner.post.trajectories.beginnings import settling_time
-from planner.post.trajectories.straight_ways import Driven
+from planner.languages.trajectories.writer.beginnings import settling_time
+from planner.languages.trajectories.writer.straight_ways import Driven
 from planner.verify.replay import driven_speed
 from planner.verify.replay.arm_model import machine_of
 from planner.verify.replay.moves import cubic

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.geometry.arrays import from_rpy, to_quaternion
-from planner.post import write
+from planner.languages.writing import write
 from planner.verify.prove import Prover
 from tests.verify import handshake_job, small_job
 from tests.verify.controller_mutants import swap, without

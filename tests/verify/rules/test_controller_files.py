@@ -8,7 +8,7 @@ import functools
 import numpy as np
 import pytest
 
-from planner.post import write
+from planner.languages.writing import write
 from planner.problem import DevicePlace, Interlock, PowerOutput
 from planner.reading.controller import faults
 from planner.targets import Action
@@ -16,7 +16,7 @@ from planner.verify.context import Context
 from planner.verify.programs.program_text import rapid_signals
 from planner.verify.prove import Prover
 from planner.verify.rules.controller_files import controller_files
-from tests.post import krl_job as post_job
+from tests.languages.writing import krl_job as post_job
 from tests.verify import krl_job, provers, small_job, straight_job
 from tests.verify.controller_mutants import ABB, HOME, KUKA, LEFT, swap
 

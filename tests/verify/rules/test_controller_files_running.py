@@ -9,12 +9,12 @@ import re
 import numpy as np
 import pytest
 
-from planner.post import write
+from planner.languages.writing import write
 from planner.problem import DevicePlace, Interlock, PowerOutput
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules.controller_files import controller_files
-from tests.post import krl_job
+from tests.languages.writing import krl_job
 from tests.verify import handshake_job, small_job, wire_mutants
 from tests.verify.controller_mutants import swap
 

@@ -11,8 +11,8 @@ import yaml
 import planner
 from planner.claims import vocabulary
 from planner.claims.claim import OneOf
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.verify.context import Context
 from planner.verify.programs.operator_dialogue import chosen_groups

@@ -10,8 +10,8 @@ import pytest
 
 from planner import pipeline
 from planner.geometry.arrays import Mesh
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.processes.forming.claims import FormsByTable
 from planner.processes.forming.plan.paths.adsif_response import BUILT_IN_FILE

@@ -10,8 +10,8 @@ import pytest
 
 from planner import pipeline
 from planner.issues import TandemError
-from planner.post import write
-from planner.post.krl import spline_blocks
+from planner.languages.krl.writer import spline_blocks
+from planner.languages.writing import write
 from planner.processes import registry
 from planner.reading.controller import ControllerFile, controllers
 from planner.verify import prove

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from planner.claims.claim import FeedWindow
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import to_quaternion
+from planner.languages.krl.writer.spline_blocks import curve
 from planner.motion import solve
-from planner.post.krl.spline_blocks import curve
 from planner.processes.milling.claims import MillsAlong
 from planner.verify.krl import spline_curve
 from planner.verify.rules import krl_spline

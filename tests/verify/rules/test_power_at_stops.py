@@ -12,9 +12,9 @@ import types
 import numpy as np
 import pytest
 
-from planner.post import write
-from planner.post.krl import controller_files as krl_files
-from planner.post.rapid import controller_files as rapid_files
+from planner.languages.krl.writer import controller_files as krl_files
+from planner.languages.rapid.writer import controller_files as rapid_files
+from planner.languages.writing import write
 from planner.problem import Interlock, PowerOutput
 from planner.processes.trim.claims import TrimsSheet
 from planner.report import setup_sheet
@@ -23,7 +23,7 @@ from planner.verify.context import Context
 from planner.verify.programs.program_text import krl_lines, rapid_words
 from planner.verify.rules import power_at_stops
 from planner.verify.rules.controller_files import controller_files
-from tests.post import krl_job as post_job
+from tests.languages.writing import krl_job as post_job
 from tests.verify.rules.test_controller_files import ARC
 from tests.verify.stop_routines import Routines, Submit
 

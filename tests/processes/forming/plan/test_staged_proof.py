@@ -15,8 +15,8 @@ import pytest
 
 from planner.claims.claim import Claim
 from planner.claims.vocabulary import Segment
+from planner.languages.writing import write as post
 from planner.motion import solve
-from planner.post import write as post
 from planner.processes import registry
 from planner.processes.forming.claims import FormsInOrder, FormsPart, FormsSheet
 from planner.processes.trim.claims import TrimsSheet

@@ -14,8 +14,8 @@ import yaml
 
 from planner import pipeline
 from planner.issues import TandemError
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.problem import Problem
 from planner.processes import registry
 from planner.processes.forming.plan import job as forming

@@ -11,8 +11,8 @@ import yaml
 from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.issues import Issue
+from planner.languages.writing import write as post
 from planner.motion import solve
-from planner.post import write as post
 from planner.problem import Problem
 from planner.processes import registry
 from planner.verify.context import Context

@@ -13,7 +13,7 @@ import pytest
 from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.issues import Issue, TandemError
-from planner.post import write as post
+from planner.languages.writing import write as post
 from planner.processes import registry
 from planner.processes.trim.plan.face import Face, apart, lay, offset
 from planner.tooling import torch

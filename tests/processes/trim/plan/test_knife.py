@@ -13,8 +13,8 @@ import pytest
 
 from planner import pipeline
 from planner.issues import Issue, TandemError
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.tooling import Blade, knife
 from planner.verify.prove import Prover

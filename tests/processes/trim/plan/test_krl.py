@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from planner.post import write as post
+from planner.languages.writing import write as post
 from planner.processes import registry
 from planner.verify.krl.parser import Reader
 from planner.verify.krl.syntax_tree import Await

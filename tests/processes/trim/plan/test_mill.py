@@ -19,8 +19,8 @@ import shapely
 from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.issues import TandemError
+from planner.languages.writing import write
 from planner.motion import solve
-from planner.post import write
 from planner.processes import registry
 from planner.processes.trim.plan.check import gouged
 from planner.processes.trim.plan.cutting import Cutting, shank_body

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from planner import pipeline
+from planner.languages.writing import write as post
 from planner.motion import solve
-from planner.post import write as post
 from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.urscript import reader

@@ -1,0 +1,1 @@
+"""KRL for KUKA controllers."""

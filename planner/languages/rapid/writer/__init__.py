@@ -1,0 +1,1 @@
+"""RAPID for ABB controllers."""

@@ -1,0 +1,418 @@
+"""RAPID programs of a job: for each task a data module, a main module, cut modules, a list (.pgf).
+
+For two controllers that share digital signals the steps of :mod:`planner.languages.writing.handshake` are
+put as text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.catalogue.robots import OffsetParameters
+from planner.claims import vocabulary
+from planner.claims.vocabulary import HEADER, UNANSWERED
+from planner.issues import Issue, TandemError
+from planner.languages.rapid.writer import data as rapid_data
+from planner.languages.rapid.writer.data import (
+    ENTRY_SPEED_NAME,
+    TASK_LIST,
+    Stations,
+    Tools,
+    block,
+    data_lines,
+    load_name,
+    meet,
+    wobj_name,
+)
+from planner.languages.rapid.writer.syntax import (
+    action_lines,
+    box,
+    comment,
+    identifier,
+    move_lines,
+    part_names,
+    quoted,
+    write_lines,
+    zones,
+)
+from planner.languages.writing import handshake
+from planner.languages.writing.handshake import (
+    Ask,
+    AwaitLine,
+    AwaitRunning,
+    Halt,
+    Note,
+    Partner,
+    PartnerStep,
+    SetLine,
+    Tell,
+)
+from planner.languages.writing.layout import (
+    LINE_END,
+    AxesLook,
+    Carry,
+    Do,
+    Job,
+    Joints,
+    Meet,
+    OperationProgram,
+    Part,
+    Run,
+    Step,
+    SyncOff,
+    SyncOn,
+    TaskProgram,
+    kilobytes,
+    parts,
+    short,
+)
+from planner.plans import Plan
+from planner.problem import Controller, Problem
+from planner.runtime.version import __version__
+
+
+def partner_lines(partner: Partner, steps: Sequence[PartnerStep]) -> list[str]:
+    """The statements of the steps."""
+    return [line for step in steps for line in _step(partner, step)]
+
+
+def partner_call(partner: Partner, number: int) -> str:
+    """The call behind a move at which the meeting ``number`` is; empty for 0."""
+    return "" if number == 0 else f"{_name(partner.phases(number))};"
+
+
+def partner_procedures(partner: Partner, task: TaskProgram) -> dict[str, list[str]]:
+    """Bodies of the procedures that the task's moves are followed by, by name."""
+    made = {_name(p): partner_lines(partner, partner.step(n)) for p, n in partner.kinds(task).items()}
+    return {name: made[name] for name in sorted(made)}
+
+
+def partner_unanswered(partner: Partner) -> list[str]:
+    """What an error handler says of a wait that was over its time."""
+    text = write_lines(UNANSWERED.filled(other=partner.other))
+    return ["IF ERRNO=ERR_WAIT_MAXTIME THEN", *(f"  {line}" for line in text), "ENDIF"]
+
+
+def partner_header(partner: Partner) -> list[str]:
+    """Comment lines on the signals."""
+    signals, wires = partner.header()
+    alone = "Error handlers leave these lines alone: a change would be read as an arrival."
+    return [*comment(signals), *comment(f"{wires} {alone}")]
+
+
+def _name(phases: tuple[int, ...]) -> str:
+    return f"handshake_{phases[0]}" if len(phases) == 1 else "handshake"
+
+
+def _step(partner: Partner, step: PartnerStep) -> list[str]:
+    own = partner.handshake.of(partner.arm)
+    match step:
+        case SetLine(value):
+            return [f"SetDO\\Sync,{identifier(own.output)},{value};"]
+        case AwaitLine(value, seconds):
+            return [f"WaitDI {identifier(own.input)},{value}\\MaxTime:={short(seconds, 3)};"]
+        case AwaitRunning(value, seconds):
+            return [f"WaitDI {identifier(own.partner_running)},{value}\\MaxTime:={short(seconds, 3)};"]
+        case Halt(text):
+            return ["Stop;", *box(HEADER, text)]
+        case Ask(text):
+            return box(HEADER, text)
+        case Tell(text):
+            return write_lines(text)
+        case Note(text):
+            return comment(text)
+
+
+NameArray = NDArray[np.str_]
+
+_INDENT = "  "
+"""One level of indentation."""
+_PROC_BYTES = 1500
+"""Bytes of a procedure without its moves."""
+_CALL_BYTES = 20
+"""Bytes of the call that a handshake adds to each move."""
+
+
+def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
+    """Program files of the ABB arms by relative name. Raises :class:`TandemError` (``post.*``)."""
+    own = [task for task in job.tasks if task.robot.family == "ABB"]
+    zone = [_zones(job, i) for i in range(len(plan.operations))]
+    moves = {task.number: _moves(task, job, zone) for task in own}
+    sizes = [
+        np.max(
+            [
+                [len(line) + len(_INDENT) * 2 + len(LINE_END) for line in moves[t.number][i]]
+                or [0] * len(t.operations[i].ids)
+                for t in own
+            ],
+            axis=0,
+        )
+        for i in range(len(plan.operations))
+    ]
+    if job.handshake is not None:
+        sizes = [size + _CALL_BYTES for size in sizes]
+    limits = problem.cell.controller
+    layout = part_names(parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes))
+    out: dict[str, str] = {}
+    for task in own:
+        writer = _Task(task, job, plan, problem, margins, layout, moves[task.number])
+        own_zones = {name for op in zone for name in op.get(task.number, np.array([])).tolist()}
+        out |= {name: text.replace("\n", LINE_END) for name, text in writer.files(own_zones).items()}
+    for name, text in out.items():
+        if len(text.encode()) > limits.max_bytes:
+            message = f"{name} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
+            hint = f"allow larger modules: controller: {{max_kilobytes: {kilobytes(text)}}}"
+            raise TandemError(Issue("post.no_split", message, file=name, hint=hint))
+    return out
+
+
+def module_suffix(controller: Controller) -> str:
+    """Ending of the names of modules: RobotWare 7 does not load ``.mod``."""
+    return ".mod" if controller.robotware == 6 else ".modx"
+
+
+def _moving(job: Job, operation: int) -> list[TaskProgram]:
+    return [task for task in job.tasks if task.operations[operation].track is not None]
+
+
+def _zones(job: Job, operation: int) -> dict[int, NameArray]:
+    """Zone names of each task's moves; stops are the same moves in all tasks."""
+    out = {}
+    for task in _moving(job, operation):
+        program = task.operations[operation]
+        if program.track is not None:
+            out[task.number] = zones(program.track, program.stop)
+    return out
+
+
+def _moves(task: TaskProgram, job: Job, zone: Sequence[Mapping[int, NameArray]]) -> list[list[str]]:
+    """The move instructions of each operation."""
+    out: list[list[str]] = []
+    tools = Tools(task)
+    for i, program in enumerate(task.operations):
+        if program.track is None:
+            out.append([])
+            continue
+        ids = program.ids if len(_moving(job, i)) > 1 and job.handshake is None else None
+        names = (tools.of(program.arm.tool), wobj_name(program.track.frame, program.setup))
+        own = zone[i][task.number]
+        out.append(move_lines(task.robot, program.track, ids, own, *names, program.station))
+    return out
+
+
+class _Task:
+    """Writes the modules of one task."""
+
+    def __init__(
+        self,
+        task: TaskProgram,
+        job: Job,
+        plan: Plan,
+        problem: Problem,
+        margins: Mapping[str, str],
+        layout: Mapping[Part, str],
+        moves: Sequence[Sequence[str]],
+    ) -> None:
+        self.task, self.job, self.plan, self.problem = task, job, plan, problem
+        self.margins, self.layout, self.moves = margins, layout, moves
+        self.stations = Stations(task)
+        self.tools = Tools(task)
+        self.partner = Partner.of(task, job)
+        self.signals = job.switched(task)
+        # tasks of two controllers may have the same name
+        alone = problem.cell.controller.sync == "handshake"
+        self.folder = task.arm.name if alone else task.task
+
+    def files(self, zone_names: set[str]) -> dict[str, str]:
+        """The task's files by relative name."""
+        n = self.task.number
+        names = (self.tools, self.stations)
+        data = data_lines(self.task, self.job, self.plan, self.problem, names, zone_names)
+        bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main(), f"TandemCheck_{n}": self._check()}
+        own = [part for part in self.layout if self.task.operations[part.operation].track is not None]
+        for module in dict.fromkeys(part.module for part in own):
+            lines = [line for part in own if part.module == module for line in [*self._part(part), ""]]
+            bodies[f"TandemCut{module}_{n}"] = lines[:-1]
+        self._unique(bodies)
+        suffix = module_suffix(self.problem.cell.controller)
+        files = {f"{name}{suffix}": self._module(name, lines) for name, lines in bodies.items()}
+        listed = "".join(f"\t<Module>{name}</Module>\n" for name in files)
+        head = '<?xml version="1.0" encoding="ISO-8859-1" ?>\n'
+        files[f"Tandem_{n}.pgf"] = f"{head}<Program>\n{listed}</Program>\n"
+        return {f"{self.folder}/{name}": text for name, text in files.items()}
+
+    def _unique(self, bodies: Mapping[str, Sequence[str]]) -> None:
+        """Raise an issue when two things of the task would have one name."""
+        words = [
+            line.split("(")[0].split(":=")[0].rstrip(";").split() for body in bodies.values() for line in body
+        ]
+        names = [
+            w[-1].split("{")[0].lower()
+            for w in words
+            if w and w[0] in ("PROC", "CONST", "PERS", "TASK", "VAR")
+        ]
+        double = (
+            sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+        )
+        if double:
+            message = f"two things of task {self.task.task} would be called {double[0]}"
+            raise TandemError(Issue("post.name", message, hint="give the segment or tool another name"))
+
+    def _module(self, name: str, lines: Sequence[str]) -> str:
+        inside = [f"{_INDENT}{line}" if line else "" for line in [*self._header(), "", *lines]]
+        return "\n".join([f"MODULE {name}", *inside, "ENDMODULE", ""])
+
+    def _header(self) -> list[str]:
+        task = self.task
+        out = comment(
+            f"Written by Tandem {__version__} for task {task.task}, {task.unit}: {task.robot.title}."
+        )
+        tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
+        out += comment(f"Arm {task.arm.name}, tool {tools}. Written, not taught: plan again to change it.")
+        out += comment(f"Problem {self.plan.problem_name}, SHA-256 {self.plan.digest}.")
+        for name, value in self.margins.items():
+            out += comment(f"Proven: {name} {value}.")
+        if isinstance(task.robot.form, OffsetParameters):
+            out += comment(
+                "Arm with an offset wrist: how it counts confdata is not settled, so they are all 0 here and "
+                "ConfL is off: moves go on from the posture of the joint move before them. First run it "
+                "without stock."
+            )
+        if task.robot.coupling is not None:
+            out += comment(
+                "Parallel-rod arm: jointtargets hold the controller's axis 3 (serial angle plus axis 2). How "
+                "this arm counts cfx is not settled, so ConfL is off here: first run it without stock."
+            )
+        if self.partner is not None:
+            out += partner_header(self.partner)
+            for drift in self.job.drifts:
+                out += comment(f"Operation {drift.name}: {handshake.drift_sentence(drift)}.")
+        if self.signals:
+            out += comment(
+                f"Error handlers switch {', '.join(self.signals)} off first. An emergency stop runs no "
+                "handler: wire the power so that it falls with the motors."
+            )
+        return out
+
+    # ---- main module ----
+
+    def _main(self) -> list[str]:
+        conf = "Off" if self.task.robot.unnamed else "On"
+        body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
+        moved = [axis.unit for axis in self.task.arm.axes]
+        moved += [] if self.task.table is None else [self.task.table.unit]
+        units = [f"ActUnit {identifier(unit)};" for unit in dict.fromkeys(moved)]
+        body += [*units, "EOffsOff;"] if units else []  # offsets of another program would shift the axes
+        clear = (vocabulary.CLEAR if self.problem.setups[0].steps else vocabulary.READY).filled()
+        if self.partner is not None:
+            body += [
+                *self._power_off(),
+                *partner_lines(self.partner, self.partner.start(clear, "Press OK.")),
+            ]
+        elif self.task.number == 1:
+            body += self._power_off()
+            # also keeps a controller that repeats its program from starting over by itself
+            body += box(vocabulary.HEADER, vocabulary.NO_WIRE.filled() if self.job.coupled else clear)
+        count = len(self.task.operations)
+        body += [f"operation_{i};" for i in range(1, count + 1)]
+        body += [] if self.partner is None else partner_lines(self.partner, self.partner.end())
+        out = self._procedure("main", body)
+        if self.partner is not None:
+            for name, lines in partner_procedures(self.partner, self.task).items():
+                out += ["", *self._procedure(name, lines)]
+        for i, operation in enumerate(self.task.operations):
+            out += ["", *self._operation(i, operation)]
+        return out
+
+    def _check(self) -> list[str]:
+        task, together = self.task, len(self.job.tasks) > 1 and self.partner is None
+        place = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
+        robot = self.problem.cell.controller.robot(place)
+        body = rapid_data.check_procedures(task, self.job, self.plan, self.tools, robot)
+        out = self._procedure(rapid_data.CELL_CHECK, body)
+        axes = rapid_data.axes_checks(task)
+        if axes:
+            out += ["", *self._procedure(rapid_data.AXES_CHECK, axes)]
+        return rapid_data.lines(out, together, bool(axes))
+
+    def _operation(self, index: int, operation: OperationProgram) -> list[str]:
+        body = comment(f"Operation {operation.name}.")
+        for step in operation.steps:
+            body += self._step(step, index)
+        return self._procedure(f"operation_{index + 1}", body)
+
+    def _step(self, step: Step, operation: int) -> list[str]:
+        match step:
+            case Joints():
+                name = self.stations.of(step, operation + 1)
+                tool = self.tools.of(self.task.operations[operation].arm.tool)
+                ident = "" if step.id is None else f"\\ID:={step.id}"
+                return [f"MoveAbsJ {name}{ident}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
+            case AxesLook():
+                return [f"{rapid_data.AXES_CHECK};"]
+            case Meet(number, reached, seconds) if self.partner is not None:
+                steps = self.partner.meet(number, seconds)
+                return [*comment(f"Meeting: {reached}"), *partner_lines(self.partner, steps)]
+            case SyncOn() | SyncOff() if self.partner is not None:
+                return []
+            case Meet(number, reached):
+                return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASK_LIST};"]
+            case SyncOn(number):
+                return [f"SyncMoveOn {block(number, 'on')},{TASK_LIST};"]
+            case SyncOff(number):
+                return [f"SyncMoveOff {block(number, 'off')};"]
+            case Do(action):
+                return action_lines(action)
+            case Carry(load):
+                return [f"GripLoad {load_name(load)};"]
+            case Run():
+                inside = (p for p in self.layout if p.operation == step.operation)
+                return [f"{self.layout[p]};" for p in inside if step.first <= p.first < step.last]
+
+    # ---- procedures ----
+
+    def _part(self, part: Part) -> list[str]:
+        operation = self.task.operations[part.operation]
+        rows = slice(part.first, part.last)
+        seconds = (
+            short(float(operation.track.duration[rows].sum()), 2) if operation.track is not None else "0"
+        )
+        body = comment(f"Segment {part.segment}: {part.last - part.first} moves, {seconds} s.")
+        moves = self.moves[part.operation][rows]
+        if self.partner is not None:
+            calls = [partner_call(self.partner, number) for number in operation.meets[rows].tolist()]
+            moves = [line for pair in zip(moves, calls, strict=True) for line in pair if line]
+        return self._procedure(self.layout[part], [*body, *moves])
+
+    def _procedure(self, name: str, body: Sequence[str]) -> list[str]:
+        out = [f"PROC {name}()", *(_INDENT + line for line in body)]
+        out += ["ERROR", *(_INDENT + line for line in self._handler(name))]
+        leave = [*self._power_off(), *self._block_off()]
+        if leave:
+            # in every one: whether a pointer that is moved runs the innermost UNDO alone is not certain
+            out += ["UNDO", *(_INDENT + line for line in ("! the program pointer was moved away", *leave))]
+        return [*out, "ENDPROC"]
+
+    def _power_off(self) -> list[str]:
+        return [f"SetDO {identifier(signal)},0;" for signal in self.signals]
+
+    def _block_off(self) -> list[str]:
+        return ["SyncMoveUndo;"] if self.job.blocks and self.partner is None else []
+
+    def _handler(self, name: str) -> list[str]:
+        """Power off, then stop; the program ends there, so that no arm goes on by itself."""
+        joined = (vocabulary.JOINED if self.job.coupled else vocabulary.ALONE).filled()
+        stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
+        note = quoted(f"{vocabulary.FAILED.filled(procedure=name)} ")
+        return [
+            *self._power_off(),
+            "StopMove\\Quick;",
+            f"TPWrite {note}\\Num:=ERRNO;",
+            *([] if self.partner is None else partner_unanswered(self.partner)),
+            f"TPWrite {quoted(joined)};",
+            stop,
+            "EXIT;",
+        ]

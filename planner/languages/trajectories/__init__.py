@@ -1,0 +1,1 @@
+"""Joint trajectories for ROS 2 controllers."""
