@@ -23,13 +23,20 @@ from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock, S
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import TandemError
+from planner.languages.krl.reader import reader
+from planner.languages.krl.reader.flow import Signals
+from planner.languages.krl.reader.reader import KrlText
+from planner.languages.rapid.reader.reader import MOST_KEPT, Flow, Limits, Task, flow, read_task
+from planner.languages.rapid.reader.syntax_tree import Module
+from planner.languages.trajectories.reader import flow as trajectory_flow
+from planner.languages.trajectories.reader import rows as trajectory_rows
+from planner.languages.urscript.reader import flow as script_flow
+from planner.languages.urscript.reader import reader as script_reader
+from planner.languages.urscript.reader.reader import ScriptText
 from planner.problem import Arm, Problem, Setup
 from planner.processes.forming.claims import SheetState
 from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.processes.trim.claims import TrimsSheet, slot_names
-from planner.verify.krl import reader
-from planner.verify.krl.flow import Signals
-from planner.verify.krl.reader import KrlText
 from planner.verify.programs import handshake_automata, program_text
 from planner.verify.programs.handshake_automata import Reading, Sections
 from planner.verify.programs.steps import (
@@ -43,14 +50,7 @@ from planner.verify.programs.steps import (
     SyncStep,
     letters,
 )
-from planner.verify.rapid.reader import MOST_KEPT, Flow, Limits, Task, flow, read_task
-from planner.verify.rapid.syntax_tree import Module
 from planner.verify.replay.arm_model import machine_of
-from planner.verify.trajectories import flow as trajectory_flow
-from planner.verify.trajectories import rows as trajectory_rows
-from planner.verify.urscript import flow as script_flow
-from planner.verify.urscript import reader as script_reader
-from planner.verify.urscript.reader import ScriptText
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

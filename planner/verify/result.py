@@ -16,15 +16,15 @@ from planner.cell.clearance import LeastClearance
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.issues import Issue, has_errors
+from planner.languages.krl.reader.parser import without_comments
+from planner.languages.rapid.reader.lexer import Cursor
+from planner.languages.urscript.reader.words import without_comments as without_hash_comments
 from planner.verify.context import Context
 from planner.verify.forming.state import Forming
-from planner.verify.krl.parser import without_comments
-from planner.verify.rapid.lexer import Cursor
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.replay.motion import differences
 from planner.verify.rules.wire import feed_speed
-from planner.verify.urscript.words import without_comments as without_hash_comments
 from planner.verify.wire.wire_motion import Wire
 
 

@@ -19,12 +19,12 @@ from planner.catalogue.robots import data_dir
 from planner.claims.claim import FeedWindow
 from planner.claims.vocabulary import Segment, clash, fold
 from planner.issues import Severity, TandemError, given_wrong
+from planner.languages.krl.reader.parser import marked_comment as marked
 from planner.languages.krl.writer.syntax import comment, mark
 from planner.languages.rapid.writer.syntax import procedure
 from planner.languages.writing import write
 from planner.processes import registry
 from planner.verify import prove
-from planner.verify.krl.parser import marked_comment as marked
 from planner.verify.programs.program_text import segment_of_name
 from tests import line_ends, small_problem
 from tests.processes.hotwire.plan.straight import test_job as test_straight

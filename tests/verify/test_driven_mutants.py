@@ -13,11 +13,11 @@ from scipy.interpolate import CubicHermiteSpline
 from planner.cell.kinematics import forward
 from planner.claims.claim import StraightWire
 from planner.geometry.arrays import inverse
+from planner.languages.trajectories.reader import rows as rows_of_text
 from planner.verify import job
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.replay import moves
-from planner.verify.trajectories import rows as rows_of_text
 from planner.verify.trajectories import tool_speeds
 from tests.verify import driven_job, held_job, provers, small_job, straight_job
 from tests.verify.driven_mutants import BENT, HELD, MUTATORS

@@ -16,10 +16,10 @@ from planner.verify import job
 from planner.verify.programs.program_text import decode
 from planner.verify.programs.steps import MoveStep
 from planner.verify.prove import Prover
+from tests.languages.krl.reader.wall_program import texts as krl_texts
+from tests.languages.rapid.reader.rapid_texts import FULL
 from tests.verify import krl_job, small_job, straight_job
 from tests.verify.garbled import garble
-from tests.verify.krl.wall_program import texts as krl_texts
-from tests.verify.rapid.rapid_texts import FULL
 from tests.verify.rapid_edits import name
 from tests.work import counted
 

@@ -13,19 +13,28 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
+from planner.languages.krl.reader import flow, reader
+from planner.languages.krl.reader.panel import Panel
+from planner.languages.krl.reader.syntax_tree import Listen, Output, Program, Said, Start
+from planner.languages.krl.reader.syntax_tree import Statement as KrlStatement
+from planner.languages.krl.reader.values import NO_LOAD
+from planner.languages.rapid.reader.evaluation import UNKNOWN
+from planner.languages.rapid.reader.flow import Runner
+from planner.languages.rapid.reader.reader import Limits, read_task
+from planner.languages.rapid.reader.syntax_tree import (
+    Data,
+    For,
+    If,
+    Module,
+    Procedure,
+    Statement,
+    Value,
+    While,
+)
 from planner.problem import Arm, Problem
 from planner.verify import job
-from planner.verify.krl import flow, reader
-from planner.verify.krl.panel import Panel
-from planner.verify.krl.syntax_tree import Listen, Output, Program, Said, Start
-from planner.verify.krl.syntax_tree import Statement as KrlStatement
-from planner.verify.krl.values import NO_LOAD
 from planner.verify.programs.program_text import settled, strange
 from planner.verify.programs.steps import Fault, FlowError, MoveStep, Tool
-from planner.verify.rapid.evaluation import UNKNOWN
-from planner.verify.rapid.flow import Runner
-from planner.verify.rapid.reader import Limits, read_task
-from planner.verify.rapid.syntax_tree import Data, For, If, Module, Procedure, Statement, Value, While
 
 _RAPID_MOVE = re.compile(
     r"(?:^|;|\bTHEN\b|\bDO\b|\bELSE\b)[ \t]*((?:Move(?:AbsJ|ExtJ|PnP|[LJC]\w*)"

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.verify.krl.syntax_tree import WORLD_FRAME
+from planner.languages.krl.reader.syntax_tree import WORLD_FRAME
 
 BASE_FRAME = "base_frame"
 """The datum of a program that says where its arm's base is,"""

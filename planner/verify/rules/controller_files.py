@@ -16,6 +16,12 @@ import numpy as np
 from planner.claims import vocabulary
 from planner.geometry.arrays import inverse
 from planner.issues import Issue
+from planner.languages.rapid.reader.flow import CHECK_MODULE
+from planner.languages.rapid.reader.reader import masked
+from planner.languages.rapid.reader.syntax_tree import Instruction, Literal, ProcCall
+from planner.languages.urscript.reader.flow import LOOK_KIND
+from planner.languages.urscript.reader.reader import pose
+from planner.languages.urscript.reader.syntax_tree import CHECK_POINT, LOOK_ERROR
 from planner.problem import Controller
 from planner.processes.forming.claims import SinksHolder
 from planner.verify.context import Context, Outcome, at_step, mm, rule
@@ -33,17 +39,11 @@ from planner.verify.programs.program_text import (
     strange,
 )
 from planner.verify.programs.steps import BASE_FRAME, SettingStep, SignalStep, Step
-from planner.verify.rapid.flow import CHECK_MODULE
-from planner.verify.rapid.reader import masked
-from planner.verify.rapid.syntax_tree import Instruction, Literal, ProcCall
 from planner.verify.replay import arm_model
 from planner.verify.rules import power_at_stops
 from planner.verify.rules.external_axes import OFF_HOME
 from planner.verify.rules.power_at_stops import POWER_MODULE, config_row
 from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
-from planner.verify.urscript.flow import LOOK_KIND
-from planner.verify.urscript.reader import pose
-from planner.verify.urscript.syntax_tree import CHECK_POINT, LOOK_ERROR
 
 CONTROLLER_FILES = "verify.controller_files"
 """Code of the rule about files for the controllers."""

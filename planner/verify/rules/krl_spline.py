@@ -3,7 +3,7 @@
 All other rules hold with that much less room.
 
 The replay goes straight from point to point (:mod:`planner.verify.replay.moves`). A controller's
-curve may be elsewhere, by :mod:`planner.verify.krl.spline_curve`; :class:`Allowance` says by how
+curve may be elsewhere, by :mod:`planner.languages.krl.reader.spline_curve`; :class:`Allowance` says by how
 much at most, and :func:`tightened` takes it off clearance, margins, tolerances and feeds, once and
 for all rules.
 """
@@ -20,13 +20,13 @@ from planner.claims import vocabulary
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.issues import Issue
+from planner.languages.krl.reader import spline_curve
+from planner.languages.krl.reader.spline_curve import TURN_LEVER, Bounds
+from planner.languages.krl.reader.syntax_tree import SPLINE_MOVE
 from planner.processes.milling import claims
 from planner.processes.milling.claims import SafeWays, SparesPart
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText
-from planner.verify.krl import spline_curve
-from planner.verify.krl.spline_curve import TURN_LEVER, Bounds
-from planner.verify.krl.syntax_tree import SPLINE_MOVE
 from planner.verify.programs.steps import JointTarget, MoveStep, PassedTarget, poses
 from planner.verify.replay import arm_model
 from planner.verify.replay.moves import ACCURACY, ACCURACY_TURN

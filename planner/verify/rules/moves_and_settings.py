@@ -13,6 +13,9 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from planner.issues import Issue
+from planner.languages.rapid.reader.syntax_tree import Module
+from planner.languages.trajectories.reader import flow as trajectory_flow
+from planner.languages.urscript.reader.syntax_tree import STAND
 from planner.processes.trim.claims import TrimsSheet
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.job import TaskText, sync_points
@@ -32,11 +35,8 @@ from planner.verify.programs.steps import (
     SyncStep,
     WaitStep,
 )
-from planner.verify.rapid.syntax_tree import Module
 from planner.verify.rules import synchronisation
 from planner.verify.rules.synchronisation import straight_way
-from planner.verify.trajectories import flow as trajectory_flow
-from planner.verify.urscript.syntax_tree import STAND
 
 UNKNOWN_START = "verify.unknown_start"
 """Code of the rule about moves from a place that is not known."""

@@ -12,17 +12,8 @@ from numpy.typing import NDArray
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, exp_rotation, inverse, log_rotation
 from planner.issues import Issue
-from planner.problem import Stock
-from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
-from planner.verify.job import TaskText
-from planner.verify.programs.operator_dialogue import on_panel
-from planner.verify.programs.steps import PassedTarget
-from planner.verify.replay.arm_model import machine_of
-from planner.verify.replay.driven_speed import settling_share
-from planner.verify.replay.moves import cubic, driven_knots
-from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR, MASS_ERROR
-from planner.verify.trajectories.flow import columns, pose
-from planner.verify.trajectories.rows import (
+from planner.languages.trajectories.reader.flow import columns, pose
+from planner.languages.trajectories.reader.rows import (
     AtRow,
     CarryRow,
     MayFail,
@@ -33,6 +24,15 @@ from planner.verify.trajectories.rows import (
     SetRow,
     ToolRow,
 )
+from planner.problem import Stock
+from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
+from planner.verify.job import TaskText
+from planner.verify.programs.operator_dialogue import on_panel
+from planner.verify.programs.steps import PassedTarget
+from planner.verify.replay.arm_model import machine_of
+from planner.verify.replay.driven_speed import settling_share
+from planner.verify.replay.moves import cubic, driven_knots
+from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR, MASS_ERROR
 from planner.verify.trajectories.tool_speeds import SLOW, tool_speeds
 from planner.verify.trajectories.tool_speeds import STANDS as STANDS_STILL
 

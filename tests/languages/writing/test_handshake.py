@@ -12,12 +12,12 @@ import pytest
 
 from planner.claims.vocabulary import Handshake, PartnerSignals
 from planner.issues import TandemError
+from planner.languages.rapid.reader.reader import read_task
 from planner.languages.writing import handshake, write
 from planner.languages.writing.handshake import meeting_rows, stretched
 from planner.languages.writing.steps import build
 from planner.languages.writing.write import notes
 from planner.targets import Action
-from planner.verify.rapid.reader import read_task
 from tests.languages.writing import reading, synthetic
 from tests.languages.writing.reading import programs
 

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from planner.issues import TandemError
-from planner.verify.rapid.reader import read_task
+from planner.languages.rapid.reader.reader import read_task
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import programs
 

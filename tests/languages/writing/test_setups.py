@@ -12,8 +12,8 @@ from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import from_quaternion
 from planner.issues import TandemError
+from planner.languages.rapid.reader.reader import read_task
 from planner.problem import Change
-from planner.verify.rapid.reader import read_task
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import data, flat, modules, moves, pose, programs, targets
 

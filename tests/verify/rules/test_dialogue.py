@@ -18,12 +18,12 @@ from planner.verify.context import Context
 from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.prove import Prover
 from tests import line_ends
+from tests.languages.krl.reader.wall_program import MAIN as MAIN_KRL
+from tests.languages.krl.reader.wall_program import WAIT, read
 from tests.processes.milling.plan import small_mill
 from tests.verify import dialogue_job, planner_jobs, small_job
 from tests.verify.dialogue_mutants import KRL, LIES, RAPID, main_of
 from tests.verify.dialogue_proofs import CODE, JOBS, faults, prover
-from tests.verify.krl.wall_program import MAIN as MAIN_KRL
-from tests.verify.krl.wall_program import WAIT, read
 
 SAMPLE, FULL = 2, 12
 

@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 from planner.claims.claim import FeedWindow
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import to_quaternion
+from planner.languages.krl.reader import spline_curve
 from planner.languages.krl.writer.spline_blocks import curve
 from planner.motion import solve
 from planner.processes.milling.claims import MillsAlong
-from planner.verify.krl import spline_curve
 from planner.verify.rules import krl_spline
 from planner.verify.rules.krl_spline import Allowance
+from tests.languages.krl.reader.spline_members import block
 from tests.verify import spline_job
-from tests.verify.krl.spline_members import block
 
 
 @pytest.mark.parametrize("kind", ["arc", "kink", "anyhow"])

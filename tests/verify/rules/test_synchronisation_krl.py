@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planner.verify.krl import reader
-from planner.verify.krl.flow import Signals
+from planner.languages.krl.reader import reader
+from planner.languages.krl.reader.flow import Signals
 from planner.verify.programs.steps import MoveStep
 from planner.verify.rules import synchronisation
-from tests.verify.krl.wall_program import MAIN, MOVES, OLDER, read
+from tests.languages.krl.reader.wall_program import MAIN, MOVES, OLDER, read
 
 HEAD = (
     MOVES.split("SLIN")[0].replace("$VEL.ORI1=200.0", "$VEL.ORI1={ori}").replace("ORI2=200.0", "ORI2={ori}")

@@ -7,8 +7,8 @@ block may have.
 
 How far the curve of a block may be off straight moves is counted here as the writer of blocks
 counts it. docs/krl.md says which curves are meant; the proof has its own count
-(``verify/krl/spline_curve.py``), which blocks are written to hold. Slopes and curvatures of a move are
-counted in its own length.
+(``languages/krl/reader/spline_curve.py``), which blocks are written to hold. Slopes and curvatures of a
+move are counted in its own length.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ import pytest
 
 from planner.claims import vocabulary
 from planner.issues import TandemError
+from planner.languages.rapid.reader.reader import read_task
 from planner.languages.writing.write import notes, refusals
-from planner.verify.rapid.reader import read_task
 from tests.languages.writing import krl_job, reading, synthetic
 from tests.languages.writing import test_handshake as rapid_side
 from tests.languages.writing.reading import programs

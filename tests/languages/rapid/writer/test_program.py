@@ -12,8 +12,8 @@ import pytest
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import from_quaternion
+from planner.languages.rapid.reader.reader import read_task
 from planner.targets import Action
-from planner.verify.rapid.reader import read_task
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import flat, modules, moves, numbers, programs
 

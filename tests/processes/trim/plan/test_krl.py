@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from planner.languages.krl.reader.parser import Reader
+from planner.languages.krl.reader.syntax_tree import Await
 from planner.languages.writing import write as post
 from planner.processes import registry
-from planner.verify.krl.parser import Reader
-from planner.verify.krl.syntax_tree import Await
 from tests.processes.trim.plan.small_trim import KUKA, NUMBERS, OUTLINES, Job, problem
 
 Programs = dict[str, str]

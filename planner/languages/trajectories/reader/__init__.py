@@ -1,0 +1,1 @@
+"""Reads trajectory files."""

@@ -1,0 +1,305 @@
+"""URScript text to statements: words of a line, then the one form that each statement may have.
+
+Whatever is not of such a form is a fault with its line. Words count with their case. Comments begin
+with # and say nothing, but for the head of a segment.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Final, Literal
+
+from planner.languages.urscript.reader.functions import awaits_arc, ended, function, switched_off
+from planner.languages.urscript.reader.syntax_tree import (
+    ARC_FUNCTION,
+    ARC_VARIABLE,
+    AWAIT_LINE,
+    AWAIT_RUNNING,
+    CHECK,
+    LINE_LENGTH,
+    NAME_LENGTH,
+    RESERVED,
+    STAND,
+    WATCH,
+    WATCH_ARC,
+    WATCHING,
+    WATCHING_ARC,
+    ArcFunction,
+    Await,
+    AwaitArc,
+    Begins,
+    Check,
+    Data,
+    Ending,
+    GuardArc,
+    Joint,
+    Look,
+    Output,
+    Pause,
+    Popup,
+    Program,
+    SetPayload,
+    SetTcp,
+    Stand,
+    Statement,
+    StaysLow,
+    Straight,
+    Watch,
+)
+from planner.languages.urscript.reader.words import (
+    OUTPUT_WORDS,
+    OUTPUTS_READ,
+    Line,
+    Rows,
+    ScriptError,
+    Word,
+    flag_of,
+    must_be,
+    numbered,
+    parted,
+    shown,
+    shown_code,
+)
+from planner.verify.programs.steps import Fault
+
+_SEGMENT: Final = re.compile(r"#\s*Segment\s+([\w/]+):.*", re.ASCII)
+"""The comment with which a segment begins."""
+_TITLES: Final[dict[tuple[str, bool], Literal["question", "read", "note"]]] = {
+    ("Tandem asks", True): "question",
+    ("Tandem tells", True): "read",
+    ("Tandem", False): "note",
+}
+"""What a popup is by its title, and whether it holds the program."""
+MOST_SECONDS: Final = 3600.0
+"""Longest move or pause that is read [s]."""
+MOST_WAIT: Final = 1e6
+"""Longest wait for the other program that is read [s]."""
+
+
+def _movel(line: int, words: Line) -> Statement:
+    words.signs("pose_trans", "(")
+    frame = words.take("name")
+    words.signs(",")
+    place = words.pose()
+    words.signs(")")
+    words.keyed("t")
+    seconds = words.above(0.0, MOST_SECONDS, "t")
+    words.keyed("r")
+    radius = words.number()
+    if not 0.0 <= radius <= 1.0:
+        raise ScriptError("type", f"r is {radius:g}; allowed: 0 to 1 (m)")
+    return Straight(line, frame, place, seconds, radius)
+
+
+def _movej(line: int, words: Line) -> Statement:
+    name = words.take("name")
+    words.keyed("a")
+    acceleration = words.above(0.0, 100.0, "a")
+    words.keyed("v")
+    return Joint(line, name, acceleration, words.above(0.0, 10.0, "v"))
+
+
+def _payload(line: int, words: Line) -> Statement:
+    mass = words.above(0.0, 1000.0, "the mass")
+    words.signs(",")
+    x, y, z = words.numbers(3)
+    return SetPayload(line, mass, (x, y, z))
+
+
+def _popup(line: int, words: Line) -> Statement:
+    text, title, blocking = shown(words, error=False)
+    kind = _TITLES.get((title, blocking))
+    if kind is None:
+        told = "blocking" if blocking else "not blocking"
+        raise ScriptError("syntax", f"a popup with the title {title!r}, {told}: none of these programs")
+    return Popup(line, kind, text)
+
+
+def _output(first: int) -> Callable[[int, Line], Statement]:
+    return lambda line, words: Output(line, *flag_of(words, first))
+
+
+def _await(name: str) -> Callable[[int, Line], Statement]:
+    def read(line: int, words: Line) -> Statement:
+        value = words.flag()
+        words.signs(",")
+        return Await(line, name, value, words.above(0.0, MOST_WAIT, "the longest wait"))
+
+    return read
+
+
+def _await_arc(line: int, words: Line, name: str) -> Statement:
+    return AwaitArc(line, name, words.above(0.0, MOST_SECONDS, "the longest wait"))
+
+
+def _check(line: int, words: Line) -> Statement:
+    value = words.flag()
+    words.signs(",")
+    return Check(line, value, words.flag())
+
+
+def _thread(line: int, row: str) -> Statement | None:
+    """The statement that begins or ends a thread, None for another one."""
+    if found := re.fullmatch(rf"kill\s+({WATCHING}|{WATCHING_ARC}((?:_\d+)?))", row):
+        return Watch(line, False) if found[1] == WATCHING else GuardArc(line, WATCH_ARC + found[2], False)
+    if re.fullmatch(rf"{WATCHING}\s*=\s*run\s+{WATCH}\s*\(\s*\)", row):
+        return Watch(line, True)
+    if found := re.fullmatch(rf"{WATCHING_ARC}((?:_\d+)?)\s*=\s*run\s+{WATCH_ARC}((?:_\d+)?)\s*\(\s*\)", row):
+        if found[1] != found[2]:
+            raise ScriptError("syntax", f"{WATCH_ARC}{found[2]} is held by another one's variable")
+        return GuardArc(line, WATCH_ARC + found[2], True)
+    return None
+
+
+_CALLS: Final[dict[str, Callable[[int, Line], Statement]]] = {
+    "movel": _movel,
+    "movej": _movej,
+    "set_tcp": lambda line, words: SetTcp(line, words.take("name")),
+    "set_payload": _payload,
+    "sleep": lambda line, words: Pause(line, words.above(0.0, MOST_SECONDS, "a pause")),
+    "popup": _popup,
+    CHECK: _check,
+    STAND: lambda line, words: Stand(line, words.above(0.0, MOST_SECONDS, "a move's time")),
+    **{word: _await(word) for word in (AWAIT_LINE, AWAIT_RUNNING)},
+    **{word: _output(first) for word, first in OUTPUT_WORDS.items()},
+}
+"""Statements by the function that they call: its name and what reads its parameters."""
+
+
+class Reader:
+    """Reads one file; `faults` are filled meanwhile."""
+
+    def __init__(self, text: str, file: str) -> None:
+        self.rows = text.split("\n")
+        self.file = file
+        self.faults: list[Fault] = []
+
+    def fault(self, line: int, kind: str, message: str) -> None:
+        self.faults.append(Fault(line, 1, f"urscript.{kind}", message, self.file))
+
+    def program(self) -> Program | None:
+        """The file's program, None where it has no head."""
+        name, data, body, closed = "", dict[str, Data](), list[Statement](), False
+        endings: dict[str, Ending | ArcFunction] = {}
+        rows = iter(enumerate(self.rows, 1))
+        for line, row in rows:
+            if len(row.rstrip()) > LINE_LENGTH:
+                self.fault(line, "line_length", f"{len(row)} characters; allowed: {LINE_LENGTH}")
+            code, comment = parted(row)
+            try:
+                if (segment := _SEGMENT.fullmatch(comment)) and not code and name and not closed:
+                    body.append(Begins(line, segment[1]))
+                if not code:
+                    continue
+                if closed:
+                    raise ScriptError("syntax", f"{shown_code(code)}: nothing stands behind the program")
+                words = Line(code)
+                if not name:
+                    name = _head(words)
+                elif code == "end":
+                    closed = True
+                elif words.next in (Word("name", "def"), Word("name", "thread")):
+                    if any(not isinstance(statement, Begins) for statement in body):
+                        raise ScriptError("syntax", "a function or thread stands behind the first statement")
+                    word, ending = function(line, words, rows)
+                    if word in endings:
+                        raise ScriptError(
+                            "name_duplicate", f"{word} stands in line {endings[word].line} already"
+                        )
+                    endings[word] = ending
+                elif (watch := _thread(line, code)) is not None:
+                    body.append(watch)
+                elif code.startswith("if"):
+                    body.append(self._branch(line, words, rows))
+                elif words.words[1:2] == [Word("sign", "=")]:
+                    self._datum(line, words, data, body)
+                else:
+                    body.append(_call(line, words))
+            except ScriptError as wrong:
+                self.fault(line, wrong.kind, wrong.message)
+                if not name:
+                    return None
+        if not name:
+            self.fault(len(self.rows), "syntax", "the file has no program: def NAME(): must stand here")
+            return None
+        if not closed:
+            self.fault(len(self.rows), "syntax", "the program has no end")
+        met = {word: one for word, one in endings.items() if isinstance(one, Ending)}
+        torches = {word: one for word, one in endings.items() if isinstance(one, ArcFunction)}
+        return Program(self.file, name, data, tuple(body), met, torches)
+
+    def _datum(self, line: int, words: Line, data: dict[str, Data], body: list[Statement]) -> None:
+        name = words.take("name")
+        words.signs("=")
+        _named(name)
+        if name in data:
+            raise ScriptError("name_duplicate", f"{name} has a value in line {data[name].line} already")
+        if any(not isinstance(statement, Begins) for statement in body):
+            raise ScriptError("syntax", f"{name} gets its value behind the first statement")
+        if words.next.kind == "text":
+            found = Data(line, "text", words.text())
+        elif words.next.text == "p":
+            found = Data(line, "pose", words.pose())
+        else:
+            found = Data(line, "joints", words.numbers(6))
+        words.done()
+        data[name] = found
+
+    def _branch(self, line: int, words: Line, rows: Rows) -> Look | StaysLow:
+        """The two branches there are: both show a text and end the program."""
+        words.signs("if")
+        if words.next.text in OUTPUTS_READ:
+            number = numbered(words, OUTPUTS_READ)
+            words.signs(":")
+            words.done()
+            off, text = switched_off(rows, blocking=True)
+            must_be(rows, "end")
+            return StaysLow(line, number, off, text)
+        words.signs("point_dist", "(", "get_forward_kin", "(")
+        name = words.take("name")
+        words.signs(",")
+        tip = words.pose()
+        words.signs(")", ",")
+        place = words.pose()
+        words.signs(")", ">")
+        most = words.above(0.0, 1.0, "the distance")
+        words.signs(":")
+        words.done()
+        text = ended(rows, blocking=True)
+        must_be(rows, "end")
+        return Look(line, name, tip, place, most, text)
+
+
+def _head(words: Line) -> str:
+    words.signs("def")
+    name = words.take("name")
+    words.signs("(", ")", ":")
+    words.done()
+    _named(name)
+    return name
+
+
+def _named(name: str) -> None:
+    if len(name) > NAME_LENGTH:
+        raise ScriptError("name_length", f"{name} has {len(name)} characters; allowed: {NAME_LENGTH}")
+    if name in RESERVED or re.fullmatch(ARC_FUNCTION, name) or re.fullmatch(ARC_VARIABLE, name):
+        raise ScriptError("name_reserved", f"{name} is a word of URScript; take another name")
+
+
+def _call(line: int, words: Line) -> Statement:
+    word = words.take("name", what="a statement")
+    read = _CALLS.get(word)
+    if awaits_arc(word):
+        words.signs("(")
+        out = _await_arc(line, words, word)
+        words.signs(")")
+        words.done()
+        return out
+    if read is None:
+        raise ScriptError("syntax", f"{word}: no statement of these programs")
+    words.signs("(")
+    out = read(line, words)
+    words.signs(")")
+    words.done()
+    return out
