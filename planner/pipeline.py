@@ -465,7 +465,7 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
 
 
 def _text(path: Path) -> str:
-    from planner.verify.programs import program_text
+    from planner.programs import text as program_text
 
     try:
         if path.stat().st_size <= MAX_PROGRAM_BYTES:

@@ -141,8 +141,8 @@ def run_upload(request: Upload) -> Sent:
 def run_download(request: Download) -> tuple[tuple[Issue, ...], Proof]:
     """Bring programs back: what was touched up there, and the proof of what came back."""
     from planner import pipeline
+    from planner.programs import text
     from planner.shopfloor.loading import download, proven, touched
-    from planner.verify.programs import program_text
 
     problem = pipeline.load_result(request.result)
     result = proven.read(request.result, problem)
@@ -161,7 +161,7 @@ def run_download(request: Download) -> tuple[tuple[Issue, ...], Proof]:
     texts = pipeline.read_programs(request.output)
     for file, content in result.files.items():
         if file not in files:  # the other controller's, as they were sent
-            texts.setdefault(file, program_text.decode(content, file))
+            texts.setdefault(file, text.decode(content, file))
     return touched.touched(files, back), pipeline.verify(problem, texts)
 
 

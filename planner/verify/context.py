@@ -31,11 +31,11 @@ from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
 from planner.languages.rapid.reader.syntax_tree import Data, Literal, build
 from planner.problem import END, Arm, Problem, Setup, Stock
-from planner.verify import job as job_text
-from planner.verify import job as setup_text
-from planner.verify.job import JobText, SetupClaims, Spans, Stage, TaskText
+from planner.programs import job as job_text
+from planner.programs import job as setup_text
+from planner.programs.job import JobText, SetupClaims, Spans, Stage, TaskText
+from planner.programs.steps import BASE_FRAME, MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
 from planner.verify.outer_axes import outer_axes, slid
-from planner.verify.programs.steps import BASE_FRAME, MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
 from planner.verify.replay import arm_model, bending
 from planner.verify.replay.bending import Bent
 from planner.verify.replay.motion import Motion

@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.problem import STOCK, TILT, Arm, Cell, Turntable
-from planner.verify.programs.steps import MoveStep
+from planner.programs.steps import MoveStep
 
 SAME_VALUE = 1e-6
 """Values [m, rad] that differ by no more are one station."""

@@ -17,11 +17,11 @@ from planner.catalogue.robots import RobotData
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
+from planner.programs import partial
+from planner.programs.job import JobText, Stage, TaskText
+from planner.programs.partial import KNOWN_MOVES, Gap, Read
+from planner.programs.steps import JointTarget, MoveStep, RobTarget, StatusTarget
 from planner.verify.context import Context
-from planner.verify.job import JobText, Stage, TaskText
-from planner.verify.programs import partial_reader
-from planner.verify.programs.partial_reader import KNOWN_MOVES, Gap, Read
-from planner.verify.programs.steps import JointTarget, MoveStep, RobTarget, StatusTarget
 from planner.verify.prove import Prover
 from planner.verify.replay import arm_model, inverse_kinematics
 from planner.verify.replay.clearance_samples import least_distances
@@ -88,7 +88,7 @@ def read_partly(problem: Problem, programs: Mapping[str, str]) -> Partial:
     ``programs`` {file name: text}. Raises ``TandemError`` (verify.robot_model) for robots that cannot be
     followed.
     """
-    found, strays = partial_reader.read(problem, programs)
+    found, strays = partial.read(problem, programs)
     issues = [_unread(path, None, "it belongs to no arm of the cell") for path in strays]
     total, count = 0, _Count()
     prover = Prover(problem, {})

@@ -20,6 +20,7 @@ from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import TILT, Problem, Settings
+from planner.programs.job import setups_of
 from planner.runtime.executor import SERIAL, Executor
 from planner.runtime.memory import release_memory
 from planner.verify import result
@@ -27,7 +28,6 @@ from planner.verify.context import Context, Outcome, Rule
 from planner.verify.forming import swept
 from planner.verify.forming.face import Face
 from planner.verify.forming.state import Forming, Left, begun_faces
-from planner.verify.job import setups_of
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.tool_motion import Milling
 from planner.verify.outer_axes import moved_on

@@ -24,8 +24,8 @@ from planner.languages.krl.writer.syntax import comment, mark
 from planner.languages.rapid.writer.syntax import procedure
 from planner.languages.writing import write
 from planner.processes import registry
+from planner.programs.text import segment_of_name
 from planner.verify import prove
-from planner.verify.programs.program_text import segment_of_name
 from tests import line_ends, small_problem
 from tests.processes.hotwire.plan.straight import test_job as test_straight
 from tests.processes.milling.plan import small_mill

@@ -14,7 +14,7 @@ from planner.cell.kinematics import forward
 from planner.claims.claim import StraightWire
 from planner.geometry.arrays import inverse
 from planner.languages.trajectories.reader import rows as rows_of_text
-from planner.verify import job
+from planner.programs import job
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.replay import moves

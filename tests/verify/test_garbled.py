@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.issues import TandemError
-from planner.verify import job
-from planner.verify.programs.program_text import decode
-from planner.verify.programs.steps import MoveStep
+from planner.programs import job
+from planner.programs.steps import MoveStep
+from planner.programs.text import decode
 from planner.verify.prove import Prover
 from tests.languages.krl.reader.wall_program import texts as krl_texts
 from tests.languages.rapid.reader.rapid_texts import FULL

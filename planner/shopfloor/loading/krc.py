@@ -17,11 +17,11 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, from_rpy
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
+from planner.programs import text as program_text
 from planner.shopfloor.loading.compare import BASE_SHIFT, BASE_TURN, Found, unread
 from planner.shopfloor.loading.literals import difference, turn_deg
 from planner.shopfloor.loading.pieces import kind
 from planner.shopfloor.loading.store import Store
-from planner.verify.programs import program_text
 
 ROOTS: Final = ("", "R1", "KRC/R1", "KRC/ROBOTER/KRC/R1", "..", "../..")
 """Where R1 may be, as the folder that was given sees it."""

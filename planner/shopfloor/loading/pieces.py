@@ -11,8 +11,8 @@ import re
 from pathlib import PurePosixPath
 from typing import Final
 
+from planner.programs.job import MODULES
 from planner.shopfloor.loading.literals import Shape, shape
-from planner.verify.job import MODULES
 
 KRL: Final = (".src", ".dat", ".sub")
 """Endings of KRL files."""

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 from planner.files import RELEASE, STATEMENT, write_whole
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Problem
-from planner.verify.job import CONTROLLER
-from planner.verify.programs import program_text
+from planner.programs import text as program_text
+from planner.programs.job import CONTROLLER
 
 if TYPE_CHECKING:
     from planner.verify.result import Proof

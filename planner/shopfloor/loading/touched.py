@@ -16,10 +16,10 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, from_rpy
 from planner.issues import Issue, Severity
+from planner.programs import text as program_text
+from planner.programs.steps import rotation
 from planner.shopfloor.loading.literals import equal, shape, turn_deg
 from planner.shopfloor.loading.pieces import Piece, kind, pieces
-from planner.verify.programs import program_text
-from planner.verify.programs.steps import rotation
 
 MOST_PAIRS: Final = 4_000_000
 """Pairs of statements that are looked at to find which became which; more is told as one block."""

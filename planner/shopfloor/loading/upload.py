@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 
 from planner.issues import Issue, Severity, TandemError
+from planner.programs import text
 from planner.shopfloor.loading import compare, krc
 from planner.shopfloor.loading.proven import Proven, chosen, folder_name
 from planner.shopfloor.loading.rws import Rws
 from planner.shopfloor.loading.store import Store
-from planner.verify.programs import program_text
 
 MOST_FOLDERS = 99
 """Folders of one result that are kept beside each other at most."""
@@ -42,7 +42,7 @@ def to_controller(rws: Rws, proven: Proven, arm: str | None = None) -> Sent:
             Issue("upload.address", "KRL goes to a folder or ftp://, not to Robot Web Services")
         )
     _stands(rws)
-    texts = {name: program_text.decode(content, name) for name, content in proven.files.items()}
+    texts = {name: text.decode(content, name) for name, content in proven.files.items()}
     found = compare.compare(rws, proven.problem, texts, arms)
     if found.differs:
         raise TandemError((*found.differs, *found.not_looked_at))

@@ -30,9 +30,9 @@ from planner.processes.milling.claims import (
     SafeWays,
     SparesPart,
 )
+from planner.programs.job import MILL
 from planner.tooling import Cutter
 from planner.verify.files import UNITS, UnreadError, curves, rhino
-from planner.verify.job import MILL
 from planner.verify.milling import gcode_moves
 from planner.verify.milling.gcode_lines import UnreadableError
 from planner.verify.milling.gcode_moves import Way

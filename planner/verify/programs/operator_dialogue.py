@@ -37,10 +37,10 @@ from planner.claims.vocabulary import (
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.problem import Setup
+from planner.programs.job import JobText, TaskText
+from planner.programs.steps import MessageStep, MoveStep, RobTarget, SignalStep, Step, WaitStep
+from planner.programs.text import segment_of_name
 from planner.verify.context import Context
-from planner.verify.job import JobText, TaskText
-from planner.verify.programs.program_text import segment_of_name
-from planner.verify.programs.steps import MessageStep, MoveStep, RobTarget, SignalStep, Step, WaitStep
 
 PANEL_STATE = "#STATE"
 """What the panel of a KUKA controller shows while a program waits, in forms that their own reader holds."""

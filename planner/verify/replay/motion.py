@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
-from planner.verify.programs.steps import SignalStep, Step
+from planner.programs.steps import SignalStep, Step
 
 Rows = int | np.integer | slice | IntArray | BoolArray
 

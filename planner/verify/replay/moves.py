@@ -33,8 +33,8 @@ from planner.geometry.arrays import (
     inverse,
     log_rotation,
 )
-from planner.verify.job import TaskText
-from planner.verify.programs.steps import (
+from planner.programs.job import TaskText
+from planner.programs.steps import (
     MOST_OUTER,
     JointTarget,
     MessageStep,

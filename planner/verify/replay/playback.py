@@ -21,10 +21,10 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
+from planner.programs.job import JobText, Stage, TaskText
+from planner.programs.steps import MoveStep, Step
+from planner.programs.text import segment_of_name
 from planner.runtime.memory import release_memory
-from planner.verify.job import JobText, Stage, TaskText
-from planner.verify.programs.program_text import segment_of_name
-from planner.verify.programs.steps import MoveStep, Step
 from planner.verify.replay import arm_model, inverse_kinematics, moves
 from planner.verify.replay.motion import Fault, Grown, GrownPoses, Instants, Motion, Poses
 from planner.verify.replay.moves import Riding, Row, between, dwell_time, make_law, make_row, needs_standstill
@@ -46,7 +46,7 @@ def replay(
     for each stage {arm: TCP (4, 4) in the flange} of what is mounted, where that changes; ``travels``
     {identity of a move: time [s]} that external axes take in it, before the arm moves; ``riding``: for each
     stage how bases of tracks go along, from where ``bases`` has them. Needs stages that match
-    (:func:`planner.verify.job.read`)."""
+    (:func:`planner.programs.job.read`)."""
     return _Player(job, bases, tools, travels or {}, riding).run()
 
 

@@ -24,10 +24,9 @@ from planner.languages.urscript.reader.reader import pose
 from planner.languages.urscript.reader.syntax_tree import CHECK_POINT, LOOK_ERROR
 from planner.problem import Controller
 from planner.processes.forming.claims import SinksHolder
-from planner.verify.context import Context, Outcome, at_step, mm, rule
-from planner.verify.job import CONTROLLER, TaskText, controllers
-from planner.verify.outer_axes import OuterAxis, outer_axes
-from planner.verify.programs.program_text import (
+from planner.programs.job import CONTROLLER, TaskText, controllers
+from planner.programs.steps import BASE_FRAME, SettingStep, SignalStep, Step
+from planner.programs.text import (
     Partner,
     Row,
     UnreadError,
@@ -38,7 +37,8 @@ from planner.verify.programs.program_text import (
     rapid_words,
     strange,
 )
-from planner.verify.programs.steps import BASE_FRAME, SettingStep, SignalStep, Step
+from planner.verify.context import Context, Outcome, at_step, mm, rule
+from planner.verify.outer_axes import OuterAxis, outer_axes
 from planner.verify.replay import arm_model
 from planner.verify.rules import power_at_stops
 from planner.verify.rules.external_axes import OFF_HOME

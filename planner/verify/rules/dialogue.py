@@ -15,8 +15,9 @@ from planner.claims import vocabulary
 from planner.claims.claim import FollowsRulings, OneOf, WireJoins
 from planner.claims.vocabulary import DialogueStep, OperatorDialogue, Sentence
 from planner.issues import Issue
+from planner.programs.job import TaskText
+from planner.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
 from planner.verify.context import Context, Outcome, at_step, rule
-from planner.verify.job import TaskText
 from planner.verify.programs import operator_dialogue
 from planner.verify.programs.operator_dialogue import (
     Fit,
@@ -30,7 +31,6 @@ from planner.verify.programs.operator_dialogue import (
     wanted_dialogue,
 )
 from planner.verify.programs.operator_dialogue import sentence_text as sentence_of
-from planner.verify.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
 from planner.verify.replay.motion import local
 from planner.verify.rules import trajectories
 from planner.verify.rules.straight_wire import guide_normals, off_guide

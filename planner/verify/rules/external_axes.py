@@ -17,10 +17,10 @@ from planner.issues import Issue
 from planner.languages.krl.reader.flow import AXIS_LOOK
 from planner.languages.rapid.reader.flow import AXES_CHECK
 from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
+from planner.programs.job import TaskText
+from planner.programs.steps import MOST_OUTER, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.verify.context import Context, Outcome, at_step, mm, rule
-from planner.verify.job import TaskText
 from planner.verify.outer_axes import SAME_VALUE, OuterAxis, outer_axes, place_in_turn, slid
-from planner.verify.programs.steps import MOST_OUTER, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25

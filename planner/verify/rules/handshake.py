@@ -10,21 +10,14 @@ from typing import Final
 
 from planner.claims.vocabulary import SignalWire
 from planner.issues import Issue
-from planner.verify import job
+from planner.programs import job
+from planner.programs.handshake import moves as handshake_moves
+from planner.programs.handshake import restarts
+from planner.programs.handshake.automata import Reading, Wiring
+from planner.programs.handshake.model import Action, Event, Finding, Product, RunningWire, check
+from planner.programs.job import TaskText
+from planner.programs.steps import CheckStep, MoveStep, RunningStep, SignalStep, Step, WaitStep, WatchStep
 from planner.verify.context import Context, Outcome, at_step, rule
-from planner.verify.job import TaskText
-from planner.verify.programs import handshake_moves, handshake_restarts
-from planner.verify.programs.handshake_automata import Reading, Wiring
-from planner.verify.programs.handshake_model import Action, Event, Finding, Product, RunningWire, check
-from planner.verify.programs.steps import (
-    CheckStep,
-    MoveStep,
-    RunningStep,
-    SignalStep,
-    Step,
-    WaitStep,
-    WatchStep,
-)
 
 EVENTS_SHOWN = 6
 """Events that are told of the way to a fault."""
@@ -309,7 +302,7 @@ def _restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
     states = 0
     for disturbed in (False, True):
         try:
-            found = handshake_restarts.check(rows, blocks, disturbed=disturbed)
+            found = restarts.check(rows, blocks, disturbed=disturbed)
         except OverflowError as many:
             what = f"the programs do too many different things between their meetings to be looked at: {many}"
             return [Issue(HANDSHAKE, what, hint="split the job")], states
@@ -319,7 +312,7 @@ def _restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
     return [], states
 
 
-def _restarted(context: Context, found: handshake_restarts.Restarted) -> Issue:
+def _restarted(context: Context, found: restarts.Restarted) -> Issue:
     """A fault in words, with the last events before it."""
     tasks = context.job.tasks
 

@@ -25,9 +25,9 @@ from planner.languages.krl.reader.spline_curve import TURN_LEVER, Bounds
 from planner.languages.krl.reader.syntax_tree import SPLINE_MOVE
 from planner.processes.milling import claims
 from planner.processes.milling.claims import SafeWays, SparesPart
+from planner.programs.job import TaskText
+from planner.programs.steps import JointTarget, MoveStep, PassedTarget, poses
 from planner.verify.context import Context, Outcome, at_step, mm, rule
-from planner.verify.job import TaskText
-from planner.verify.programs.steps import JointTarget, MoveStep, PassedTarget, poses
 from planner.verify.replay import arm_model
 from planner.verify.replay.moves import ACCURACY, ACCURACY_TURN
 from planner.verify.rules.robot_motion import TCP_SLACK

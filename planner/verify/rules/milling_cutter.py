@@ -27,10 +27,10 @@ from planner.processes.milling.claims import (
     SparesPart,
 )
 from planner.processes.trim.claims import TrimsSheet
+from planner.programs.job import MILL
 from planner.runtime.executor import SERIAL
 from planner.tooling import Mill
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
-from planner.verify.job import MILL
 from planner.verify.milling import surface_passes
 from planner.verify.milling.following import WRITTEN_ROUNDING, Followed, allowed, rows_to_check
 from planner.verify.milling.surface_passes import OverFace, Way, within

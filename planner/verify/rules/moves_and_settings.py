@@ -17,10 +17,8 @@ from planner.languages.rapid.reader.syntax_tree import Module
 from planner.languages.trajectories.reader import flow as trajectory_flow
 from planner.languages.urscript.reader.syntax_tree import STAND
 from planner.processes.trim.claims import TrimsSheet
-from planner.verify.context import Context, Outcome, at_step, mm, rule
-from planner.verify.job import TaskText, sync_points
-from planner.verify.outer_axes import outer_axes
-from planner.verify.programs.steps import (
+from planner.programs.job import TaskText, sync_points
+from planner.programs.steps import (
     UNUSED_AXIS,
     JointTarget,
     LoadStep,
@@ -35,6 +33,8 @@ from planner.verify.programs.steps import (
     SyncStep,
     WaitStep,
 )
+from planner.verify.context import Context, Outcome, at_step, mm, rule
+from planner.verify.outer_axes import outer_axes
 from planner.verify.rules import synchronisation
 from planner.verify.rules.synchronisation import straight_way
 

@@ -17,9 +17,9 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Cell
+from planner.programs.job import TaskText
+from planner.programs.steps import MoveStep, RobTarget
 from planner.verify.context import Context, Outcome, at_node, at_sample, at_step, mm, rule
-from planner.verify.job import TaskText
-from planner.verify.programs.steps import MoveStep, RobTarget
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.replay.moves import driven_knots

@@ -13,10 +13,8 @@ from planner.claims.claim import HoldsStock
 from planner.geometry.arrays import FloatArray, inverse, log_rotation
 from planner.issues import Issue
 from planner.problem import Stock
-from planner.tooling import Tool as WantedTool
-from planner.verify.context import Context, Outcome, at_step, mm, rule
-from planner.verify.job import Asked, all_asked, one_line, shown_letters, stays
-from planner.verify.programs.steps import (
+from planner.programs.job import Asked, all_asked, one_line, shown_letters, stays
+from planner.programs.steps import (
     CarryStep,
     ChoiceStep,
     JointTarget,
@@ -27,6 +25,8 @@ from planner.verify.programs.steps import (
     letters,
     rotation,
 )
+from planner.tooling import Tool as WantedTool
+from planner.verify.context import Context, Outcome, at_step, mm, rule
 
 FRAME_POSITION = 1e-6
 """How far a written frame may be off the problem's [m]: its last decimal."""

@@ -14,10 +14,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from planner.issues import Issue
-from planner.verify.context import Context, Outcome, at_step, mm, rule
-from planner.verify.job import Stage, TaskText, sync_points
-from planner.verify.outer_axes import outer_values, slid
-from planner.verify.programs.steps import (
+from planner.programs.job import Stage, TaskText, sync_points
+from planner.programs.steps import (
     MOST_OUTER,
     CallStep,
     CarryStep,
@@ -32,6 +30,8 @@ from planner.verify.programs.steps import (
     Step,
     single,
 )
+from planner.verify.context import Context, Outcome, at_step, mm, rule
+from planner.verify.outer_axes import outer_values, slid
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import select_by_status
 from planner.verify.replay.moves import flange_at, solutions

@@ -20,10 +20,10 @@ from xml.etree import ElementTree as ET
 
 from planner.issues import Issue, Severity
 from planner.languages.rapid.reader.syntax_tree import QUATERNION_TOLERANCE, Literal
+from planner.programs.job import TRAJECTORY, JobText, TaskText, speaks_trajectories, task_names
+from planner.programs.steps import DIGEST, Fault, MoveStep
+from planner.programs.text import changed, strange
 from planner.verify.context import Context, Outcome, rule, target
-from planner.verify.job import TRAJECTORY, JobText, TaskText, speaks_trajectories, task_names
-from planner.verify.programs.program_text import changed, strange
-from planner.verify.programs.steps import DIGEST, Fault, MoveStep
 from planner.verify.rules import synchronisation
 
 _RAPID_TARGET = re.compile(

@@ -14,10 +14,10 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
+from planner.programs.job import TaskText
+from planner.programs.steps import MoveStep
 from planner.verify.context import Context, Outcome, at_node, at_sample, mm, rule
-from planner.verify.job import TaskText
 from planner.verify.outer_axes import SAME_VALUE, OuterAxis, outer_axes
-from planner.verify.programs.steps import MoveStep
 from planner.verify.replay.motion import differences
 
 _CODE = "verify.track_along"

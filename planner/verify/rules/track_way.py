@@ -19,10 +19,10 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
 from planner.problem import END, PLATE, STOCK, TILT, Arm, Cell, Setup, Turntable
+from planner.programs.steps import MOST_OUTER
 from planner.verify.context import Context, Outcome, mm, rule
 from planner.verify.lines_apart import SAME_WAY, nearer, reach, round_about, slides, standing
 from planner.verify.outer_axes import SAME_VALUE, OuterAxis, floor_of, moved_on, outer_axes, slid
-from planner.verify.programs.steps import MOST_OUTER
 from planner.verify.rules.clearance import of_one_arm
 from planner.verify.rules.external_axes import clamped, off_place, spun
 from planner.verify.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION

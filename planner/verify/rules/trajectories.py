@@ -25,10 +25,10 @@ from planner.languages.trajectories.reader.rows import (
     ToolRow,
 )
 from planner.problem import Stock
+from planner.programs.job import TaskText
+from planner.programs.steps import PassedTarget
 from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
-from planner.verify.job import TaskText
 from planner.verify.programs.operator_dialogue import on_panel
-from planner.verify.programs.steps import PassedTarget
 from planner.verify.replay.arm_model import machine_of
 from planner.verify.replay.driven_speed import settling_share
 from planner.verify.replay.moves import cubic, driven_knots

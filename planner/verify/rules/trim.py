@@ -18,12 +18,12 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
 from planner.processes.trim.claims import TrimBlade, TrimsSheet, slot_names
+from planner.programs.job import TaskText
+from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
+from planner.programs.text import segment_of_name
 from planner.tooling import Knife, Mill, Torch
 from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
 from planner.verify.files import UnreadError
-from planner.verify.job import TaskText
-from planner.verify.programs.program_text import segment_of_name
-from planner.verify.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.trim.blade_motion import CORNER_ERROR, blade_way, sharp
 from planner.verify.trim.outlines import TRIM, Curve, winding
 from planner.verify.trim.torch_motion import (

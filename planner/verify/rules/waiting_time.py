@@ -16,20 +16,12 @@ from planner.claims.vocabulary import HandshakeKind
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.milling.claims import MillsAlong
-from planner.verify import job
+from planner.programs import job
+from planner.programs.handshake.automata import Reading
+from planner.programs.job import Stage, TaskText, sync_points
+from planner.programs.steps import ChoiceStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
+from planner.programs.text import segment_of_name
 from planner.verify.context import Context, Outcome, at_node, at_step, mm, rule
-from planner.verify.job import Stage, TaskText, sync_points
-from planner.verify.programs.handshake_automata import Reading
-from planner.verify.programs.program_text import segment_of_name
-from planner.verify.programs.steps import (
-    ChoiceStep,
-    MessageStep,
-    MoveStep,
-    SettingStep,
-    SignalStep,
-    Step,
-    WaitStep,
-)
 from planner.verify.replay.moves import between, dwell_time
 
 POWER_IDLE = "verify.power_idle"

@@ -15,9 +15,9 @@ from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue
 from planner.processes.forming.claims import SinksHolder
 from planner.processes.trim.claims import TrimsSheet
+from planner.programs.job import TaskText, controllers
+from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
-from planner.verify.job import TaskText, controllers
-from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.replay.motion import steps_across
 from planner.verify.rules import trajectories
 from planner.verify.trajectories.tool_speeds import LEAST_PART, STANDS, tool_speeds

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.programs.job import TaskText
+from planner.programs.steps import MoveStep
 from planner.verify.context import Context
-from planner.verify.job import TaskText
-from planner.verify.programs.steps import MoveStep
 from planner.verify.replay.arm_model import Machine, machine_of
 from planner.verify.replay.driven_speed import Ends, Seen, from_holder, in_world, peak_speeds
 from planner.verify.replay.moves import cubic, driven_knots

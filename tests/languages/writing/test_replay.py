@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from planner.programs import job
+from planner.programs import job as setups
 from planner.targets import Action
-from planner.verify import job
-from planner.verify import job as setups
 from planner.verify.replay import playback
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import programs

@@ -10,10 +10,10 @@ import pytest
 
 from planner.languages.writing import write
 from planner.problem import DevicePlace, Interlock, PowerOutput
+from planner.programs.text import rapid_signals
 from planner.reading.controller import faults
 from planner.targets import Action
 from planner.verify.context import Context
-from planner.verify.programs.program_text import rapid_signals
 from planner.verify.prove import Prover
 from planner.verify.rules.controller_files import controller_files
 from tests.languages.writing import krl_job as post_job

@@ -17,10 +17,10 @@ from planner.languages.rapid.writer import controller_files as rapid_files
 from planner.languages.writing import write
 from planner.problem import Interlock, PowerOutput
 from planner.processes.trim.claims import TrimsSheet
+from planner.programs.text import krl_lines, rapid_words
 from planner.report import setup_sheet
 from planner.tooling import torch
 from planner.verify.context import Context
-from planner.verify.programs.program_text import krl_lines, rapid_words
 from planner.verify.rules import power_at_stops
 from planner.verify.rules.controller_files import controller_files
 from tests.languages.writing import krl_job as post_job

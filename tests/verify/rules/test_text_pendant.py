@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from planner.verify import job
+from planner.programs import job
 from planner.verify.rules import text as text_rules
 from tests.verify import krl_job, small_job
 from tests.verify.provers import prover

@@ -14,9 +14,9 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import tessellate
 from planner.problem import Stock
+from planner.programs.job import letters
+from planner.programs.text import segment_of_name
 from planner.verify.context import Context
-from planner.verify.job import letters
-from planner.verify.programs.program_text import segment_of_name
 from planner.verify.prove import Prover
 from planner.verify.replay.motion import local
 from planner.verify.rules.straight_wire import free_lengths, guide_normals, off_guide

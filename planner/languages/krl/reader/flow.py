@@ -45,7 +45,7 @@ from planner.languages.krl.reader.syntax_tree import (
     Straight,
 )
 from planner.languages.krl.reader.values import NO_LOAD, held_load, quaternion
-from planner.verify.programs.steps import (
+from planner.programs.steps import (
     UNUSED_AXIS,
     CarryStep,
     Fault,

@@ -34,7 +34,7 @@ from planner.languages.krl.reader.syntax_tree import (
     StopInterrupt,
 )
 from planner.languages.krl.reader.values import KrlValueError
-from planner.verify.programs.steps import letters
+from planner.programs.steps import letters
 
 _EXTERNAL_REASON = "in automatic external a PLC that starts the program again answers it"
 """What speaks against questions in automatic external."""

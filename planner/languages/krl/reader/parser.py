@@ -35,7 +35,7 @@ from planner.languages.krl.reader.syntax_tree import (
     Straight,
 )
 from planner.languages.krl.reader.values import UNSIGNED, KrlValueError
-from planner.verify.programs.steps import Fault, singles
+from planner.programs.steps import Fault, singles
 
 _NAME = r"[A-Za-z_]\w*"
 _DECIMAL = r"(-?\d{1,9}\.\d{1,20})"

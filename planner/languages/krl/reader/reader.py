@@ -25,7 +25,7 @@ from planner.languages.krl.reader.syntax_tree import (
     Statement,
     Straight,
 )
-from planner.verify.programs.steps import BASE_FRAME, DIGEST, Fault, Step
+from planner.programs.steps import BASE_FRAME, DIGEST, Fault, Step
 
 _MOVE_WORDS: dict[str, dict[str, tuple[str, ...]]] = {
     "krc4": {"SLIN": ("", "C_SPL")},

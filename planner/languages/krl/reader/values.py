@@ -33,15 +33,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, inverse, to_quaternion
 from planner.languages.krl.reader.syntax_tree import Outer, Point, Said, Spline
-from planner.verify.programs.steps import (
-    LARGEST_NUMBER,
-    JointTarget,
-    Load,
-    StatusTarget,
-    poses,
-    rotation,
-    single,
-)
+from planner.programs.steps import LARGEST_NUMBER, JointTarget, Load, StatusTarget, poses, rotation, single
 
 UNSIGNED = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[Ee][+-]?\d+)?"
 """A numeral without its sign, which nothing of a word may follow."""

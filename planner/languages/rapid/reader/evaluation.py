@@ -32,7 +32,7 @@ from planner.languages.rapid.reader.syntax_tree import (
     build,
 )
 from planner.languages.rapid.reader.type_check import placed
-from planner.verify.programs.steps import LARGEST_NUMBER, FlowError, single
+from planner.programs.steps import LARGEST_NUMBER, FlowError, single
 
 UNKNOWN = None  # the value of what only the controller knows
 LEAST_WORK = 100_000

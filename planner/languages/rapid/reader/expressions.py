@@ -39,7 +39,7 @@ from planner.languages.rapid.reader.syntax_tree import (
     base_type,
     build,
 )
-from planner.verify.programs.steps import LARGEST_NUMBER
+from planner.programs.steps import LARGEST_NUMBER
 
 MAX_BRACKETS = 40
 """Brackets inside one another at most."""

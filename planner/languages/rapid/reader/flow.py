@@ -34,7 +34,7 @@ from planner.languages.rapid.reader.syntax_tree import (
     Value,
     While,
 )
-from planner.verify.programs.steps import (
+from planner.programs.steps import (
     CallStep,
     CarryStep,
     ChoiceStep,

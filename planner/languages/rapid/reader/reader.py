@@ -48,8 +48,8 @@ from planner.languages.rapid.reader.syntax_tree import (
     While,
 )
 from planner.languages.rapid.reader.type_check import Checker
-from planner.verify.programs import program_text
-from planner.verify.programs.steps import Fault, FlowError
+from planner.programs import text as program_text
+from planner.programs.steps import Fault, FlowError
 
 _CLOSING_WORDS = ("endproc", "endmodule", "error", "undo", "proc")
 """Words that end what is open."""

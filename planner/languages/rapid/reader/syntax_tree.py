@@ -1,7 +1,7 @@
 """What a RAPID module says, as frozen values: nodes of the syntax tree, and RAPID's data records.
 
 Every node knows its offset in the text or its line. Records have their order and types, predefined
-data, and the step from numbers to the values of :mod:`planner.verify.programs.steps` in SI units.
+data, and the step from numbers to the values of :mod:`planner.programs.steps` in SI units.
 Order of the components, units (mm, degrees, s, kg) and the figures of the predefined speeds and
 zones: ABB, Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1
 (robtarget, speeddata, zonedata...).
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, read_only
-from planner.verify.programs.steps import (
+from planner.programs.steps import (
     LARGEST_NUMBER,
     UNUSED_AXIS,
     JointTarget,

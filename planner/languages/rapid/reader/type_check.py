@@ -33,7 +33,7 @@ from planner.languages.rapid.reader.syntax_tree import (
     base_type,
     conform,
 )
-from planner.verify.programs.steps import Fault
+from planner.programs.steps import Fault
 
 _SIGNAL_TYPES = ("signaldo", "signaldi")
 """Types of signals."""

@@ -31,7 +31,7 @@ from planner.languages.trajectories.reader.rows import (
     TellRow,
     ToolRow,
 )
-from planner.verify.programs.steps import (
+from planner.programs.steps import (
     CarryStep,
     Fault,
     FlowError,

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from planner.verify.programs.steps import Fault
+from planner.programs.steps import Fault
 
 VERSION: Final = 2
 """The form of the file that is read."""

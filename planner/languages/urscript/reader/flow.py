@@ -50,8 +50,8 @@ from planner.languages.urscript.reader.syntax_tree import (
     Watch,
 )
 from planner.languages.urscript.reader.torches import Torches
-from planner.verify.programs.handshake_moves import SLOW
-from planner.verify.programs.steps import (
+from planner.programs.handshake.moves import SLOW
+from planner.programs.steps import (
     CheckStep,
     Fault,
     FlowError,

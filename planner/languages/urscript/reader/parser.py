@@ -61,7 +61,7 @@ from planner.languages.urscript.reader.words import (
     shown,
     shown_code,
 )
-from planner.verify.programs.steps import Fault
+from planner.programs.steps import Fault
 
 _SEGMENT: Final = re.compile(r"#\s*Segment\s+([\w/]+):.*", re.ASCII)
 """The comment with which a segment begins."""

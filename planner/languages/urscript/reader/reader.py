@@ -15,7 +15,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, exp_rotation, from_parts
 from planner.languages.urscript.reader.parser import Reader
 from planner.languages.urscript.reader.syntax_tree import Joint, Look, Program, SetTcp, Six, Straight
-from planner.verify.programs.steps import BASE_FRAME, DIGEST, Fault
+from planner.programs.steps import BASE_FRAME, DIGEST, Fault
 
 
 @dataclass(frozen=True, slots=True)

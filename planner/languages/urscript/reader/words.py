@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final, NoReturn
 
 from planner.languages.urscript.reader.syntax_tree import TEXT_LENGTH, Six
-from planner.verify.programs.steps import LARGEST_NUMBER
+from planner.programs.steps import LARGEST_NUMBER
 
 _WORD: Final = re.compile(
     r"\s*(?:(?P<number>-?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?(?![\w.]))|(?P<name>[A-Za-z_]\w*)"

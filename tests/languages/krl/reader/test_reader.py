@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from planner.languages.krl.reader import reader
 from planner.languages.krl.reader.flow import Signals
 from planner.languages.krl.reader.values import held_load, quaternion, value
-from planner.verify.programs.steps import (
+from planner.programs.steps import (
     CarryStep,
     FlowError,
     JointTarget,

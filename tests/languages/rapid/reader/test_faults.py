@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from planner.languages.rapid.reader.reader import Limits, flatten, read_module, read_task
-from planner.verify.programs.steps import MoveStep
+from planner.programs.steps import MoveStep
 from tests.languages.rapid.reader.rapid_texts import FULL, HEAD, MOVE, faults, program
 
 BAD_LINES = [

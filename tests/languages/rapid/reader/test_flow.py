@@ -1,7 +1,7 @@
 """What a task does and may do: the same however it is split, with work that grows as its length."""
 
 from planner.languages.rapid.reader.reader import flatten, flow, handlers, read_task
-from planner.verify.programs.steps import MoveStep
+from planner.programs.steps import MoveStep
 from tests.work import counted
 
 MOVE = r"MoveL [[10.5,-2,3],[0,1,0,0],[0,0,-1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],v100\T:=0.25,z1,tool0;"

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.languages.rapid.reader.reader import FlowError, flatten, handlers, read_module, read_task
 from planner.languages.rapid.reader.syntax_tree import PREDEFINED
-from planner.verify.programs.steps import (
+from planner.programs.steps import (
     ChoiceStep,
     JointTarget,
     LoadStep,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planner.languages.urscript.reader import flow, reader
-from planner.verify.programs.steps import FlowError, JointTarget, MoveStep, RobTarget
+from planner.programs.steps import FlowError, JointTarget, MoveStep, RobTarget
 
 HALF = np.pi / 2.0
 PROGRAM = """\

@@ -24,7 +24,7 @@ from typing import Any, Final
 from planner.claims.vocabulary import Segment
 from planner.languages.rapid.reader.lexer import Cursor
 from planner.problem import Controller
-from planner.verify.programs.steps import Fault
+from planner.programs.steps import Fault
 
 BYTE_ORDER_MARK = "\ufeff"
 """The byte order mark that some editors put before UTF-8."""

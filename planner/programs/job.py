@@ -37,9 +37,10 @@ from planner.problem import Arm, Problem, Setup
 from planner.processes.forming.claims import SheetState
 from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.processes.trim.claims import TrimsSheet, slot_names
-from planner.verify.programs import handshake_automata, program_text
-from planner.verify.programs.handshake_automata import Reading, Sections
-from planner.verify.programs.steps import (
+from planner.programs import text as program_text
+from planner.programs.handshake import automata
+from planner.programs.handshake.automata import Reading, Sections
+from planner.programs.steps import (
     CallStep,
     Fault,
     FlowError,
@@ -81,14 +82,14 @@ def readings(
 ) -> dict[str, Reading]:
     """What the programs of the arms in ``steps`` do with the wires between their controllers."""
     own = problem.cell.controller.handshake
-    return handshake_automata.read(list(steps), steps, sections, wiring(problem), own.kind, own.timeout)
+    return automata.read(list(steps), steps, sections, wiring(problem), own.kind, own.timeout)
 
 
-def wiring(problem: Problem) -> handshake_automata.Wiring:
+def wiring(problem: Problem) -> automata.Wiring:
     """The wires between the controllers of the cell."""
     arms = [arm.name for arm in problem.cell.arms]
     own = problem.cell.controller.handshake
-    return handshake_automata.Wiring.of(own.wired(arms), arms, own.wired_running(arms))
+    return automata.Wiring.of(own.wired(arms), arms, own.wired_running(arms))
 
 
 def parts(found: Mapping[str, Reading], steps: Mapping[str, Sequence[Step]]) -> tuple[Part, ...]:
@@ -97,7 +98,7 @@ def parts(found: Mapping[str, Reading], steps: Mapping[str, Sequence[Step]]) -> 
     out: list[Part] = []
     row: list[dict[str, list[Step]]] = []
     ends: list[int] = []
-    intervals = handshake_automata.intervals(found, steps)
+    intervals = automata.intervals(found, steps)
     for number, interval in enumerate(intervals):
         counts = [sum(isinstance(step, MoveStep) for step in part) for part in interval.values()]
         together = len(counts) > 1 and all(counts)
@@ -350,7 +351,7 @@ def _alone(problem: Problem, task: TaskText) -> bool:
     holders = (setup.stock.held_by for setup in problem.setups)
     needed = {arm for operation in problem.operations for arm in operation.arms} | set(filter(None, holders))
     aside = task.handlers, task.undos
-    touches = handshake_automata.touches(task.name, task.steps, aside, wiring(problem))
+    touches = automata.touches(task.name, task.steps, aside, wiring(problem))
     return needed <= {task.arm.name} and not touches
 
 

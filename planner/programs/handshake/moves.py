@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Collection, Sequence
 from typing import Final, Literal
 
-from planner.verify.programs.steps import (
+from planner.programs.steps import (
     CheckStep,
     MessageStep,
     MoveStep,

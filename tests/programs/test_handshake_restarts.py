@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 from planner.languages.writing import write
-from planner.verify import job
+from planner.programs import job
+from planner.programs.handshake import restarts
+from planner.programs.handshake import windows as handshake_windows
+from planner.programs.handshake.moves import Move, moves
+from planner.programs.handshake.restarts import check
 from planner.verify.context import Context
-from planner.verify.programs import handshake_restarts, handshake_windows
-from planner.verify.programs.handshake_moves import Move, moves
-from planner.verify.programs.handshake_restarts import check
 from tests.verify import ur_pair
 
-BEFORE = Path(__file__).parents[1] / "files"
+BEFORE = Path(__file__).parents[0] / "files"
 
 
 def as_before(arm, line, runs):
@@ -111,7 +112,7 @@ def test_each_part_of_them_is_needed():
 
 def test_what_long_programs_do_again_and_again_is_looked_at_once(monkeypatch):
     """Each operation asks twice; whole they would have some 95,000 states more for each one."""
-    monkeypatch.setattr(handshake_restarts, "MOST_STATES", 150_000)
+    monkeypatch.setattr(restarts, "MOST_STATES", 150_000)
     rows, blocks = as_written(3)
     assert check(rows, blocks).kind is None
     assert len(set(blocks[0])) > 45
@@ -124,7 +125,7 @@ def test_a_fault_far_behind_in_a_long_program_is_found_where_it_is():
     numbers = [[*blocks[0][:at], *blocks[0][at + 1 :]], blocks[1]]
     (short, windows) = handshake_windows.shortened(changed, numbers)
     assert len(windows.kept) < windows.count  # the meetings before are cut short, those around it are not
-    found = handshake_restarts._Search(short, True, True, windows).run()
+    found = restarts._Search(short, True, True, windows).run()
     assert found.kind == "apart"
     assert found.lines[0] > rows[0][at].line - 10
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planner.verify.programs.handshake_model import Action
+from planner.programs.handshake.model import Action
 
 LEAD, FOLLOW = 0, 1
 WIRES = 2

@@ -23,9 +23,9 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Final, Literal
 
-from planner.verify.programs import handshake_windows
-from planner.verify.programs.handshake_moves import Move
-from planner.verify.programs.handshake_windows import Windows
+from planner.programs.handshake import windows as handshake_windows
+from planner.programs.handshake.moves import Move
+from planner.programs.handshake.windows import Windows
 
 FaultKind = Literal["unwatched", "apart", "ends", "stuck"]
 MOST_STATES: Final = 2_000_000

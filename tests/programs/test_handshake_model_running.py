@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from planner.verify.programs.handshake_model import Action, check
+from planner.programs.handshake.model import Action, check
 from planner.verify.rules.handshake import _MODEL_CASES
-from tests.verify.programs.automata import FOLLOW, LEAD, WIRES, put, wait, with_, work
+from tests.programs.automata import FOLLOW, LEAD, WIRES, put, wait, with_, work
 
 WORK = ("works", "works")
 STUCK = [("low", "works"), ("high", "works"), ("works", "low"), ("works", "high")]

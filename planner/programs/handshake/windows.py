@@ -20,7 +20,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Hashable, Sequence
 
-from planner.verify.programs.handshake_moves import Move
+from planner.programs.handshake.moves import Move
 
 _WORK = ("go", "done")
 _END = Move("ask", -1)

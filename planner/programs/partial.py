@@ -32,9 +32,9 @@ from planner.languages.rapid.reader.syntax_tree import (
     While,
 )
 from planner.problem import Arm, Problem
-from planner.verify import job
-from planner.verify.programs.program_text import settled, strange
-from planner.verify.programs.steps import Fault, FlowError, MoveStep, Tool
+from planner.programs import job
+from planner.programs.steps import Fault, FlowError, MoveStep, Tool
+from planner.programs.text import settled, strange
 
 _RAPID_MOVE = re.compile(
     r"(?:^|;|\bTHEN\b|\bDO\b|\bELSE\b)[ \t]*((?:Move(?:AbsJ|ExtJ|PnP|[LJC]\w*)"

@@ -10,9 +10,9 @@ import pytest
 
 from planner import pipeline
 from planner.issues import Severity
-from planner.verify import job
-from planner.verify.programs import program_text
-from planner.verify.programs.steps import MoveStep
+from planner.programs import job
+from planner.programs import text as program_text
+from planner.programs.steps import MoveStep
 from tests.verify import krl_job, small_job, straight_job
 from tests.verify.provers import prover
 from tests.verify.rapid_edits import name

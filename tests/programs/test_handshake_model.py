@@ -8,8 +8,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.verify.programs.handshake_model import Action, check
-from tests.verify.programs.automata import FOLLOW, LEAD, WIRES, put, wait, with_, work
+from planner.programs.handshake.model import Action, check
+from tests.programs.automata import FOLLOW, LEAD, WIRES, put, wait, with_, work
 
 
 def meeting(lead, phase, four):

@@ -11,9 +11,9 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 
 from planner.claims.vocabulary import HandshakeKind, SignalWire
-from planner.verify.programs.handshake_model import Action, Levels
-from planner.verify.programs.handshake_moves import SLOW
-from planner.verify.programs.steps import (
+from planner.programs.handshake.model import Action, Levels
+from planner.programs.handshake.moves import SLOW
+from planner.programs.steps import (
     CarryStep,
     CheckStep,
     ChoiceStep,

@@ -1,0 +1,1 @@
+"""Programs as read: steps, handshake and signals, whatever their language."""

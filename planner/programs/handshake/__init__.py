@@ -1,0 +1,1 @@
+"""Handshake between two controllers as their programs perform it."""
