@@ -27,8 +27,8 @@ from planner.processes.forming.plan.job import FormingJob
 from planner.processes.forming.plan.process_plan import lay_all, work
 from planner.processes.forming.plan.springback import forecast
 from planner.processes.forming.plan.springback.curves import Point, forces, solved
-from planner.verify.forming import elastic, springback_file
-from planner.verify.forming.shapes import PartShapes, in_order
+from planner.processes.forming.proof import elastic, springback_file
+from planner.processes.forming.proof.shapes import PartShapes, in_order
 from tests import small_forming
 from tests.processes.forming.plan.shapes import pit
 

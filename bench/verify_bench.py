@@ -12,11 +12,12 @@ import numpy as np
 
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
+from planner.processes.hotwire.proof.wire_motion import follow_wire
 from planner.verify.context import Context
 from planner.verify.prove import RULE_CODES, Prover
 from planner.verify.replay import arm_model
-from planner.verify.wire.wire_motion import follow_wire
-from tests.verify import held_job, small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import held_job, small_job
 from tests.verify.mutants import MUTATORS
 
 TARGETS = 220

@@ -20,16 +20,26 @@ from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import TILT, Problem, Settings
+from planner.processes.forming.proof import swept
+from planner.processes.forming.proof.face import Face
+from planner.processes.forming.proof.rules import claims as forming_claims
+from planner.processes.forming.proof.rules import level, part, springback, tool, two_tools
+from planner.processes.forming.proof.state import Forming, Left, begun_faces
+from planner.processes.hotwire.proof.rules import cut_part, straight_wire, wire
+from planner.processes.hotwire.proof.wire_motion import Wire
+from planner.processes.hotwire.proof.wire_motion import wires as all_wires
+from planner.processes.milling.proof import wanted_ways
+from planner.processes.milling.proof.rules import cutter
+from planner.processes.milling.proof.tool_motion import Milling
+from planner.processes.poses.proof.rules import given_poses
+from planner.processes.trim.proof import outlines
+from planner.processes.trim.proof.rules import forming_holes, knife, mill, slots
+from planner.processes.trim.proof.torch_motion import Trimming
 from planner.programs.job import setups_of
 from planner.runtime.executor import SERIAL, Executor
 from planner.runtime.memory import release_memory
 from planner.verify import result
 from planner.verify.context import Context, Outcome, Rule
-from planner.verify.forming import swept
-from planner.verify.forming.face import Face
-from planner.verify.forming.state import Forming, Left, begun_faces
-from planner.verify.milling import wanted_ways
-from planner.verify.milling.tool_motion import Milling
 from planner.verify.outer_axes import moved_on
 from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.replay.clearance_samples import Measured
@@ -39,40 +49,21 @@ from planner.verify.rules import (
     block_support,
     clearance,
     controller_files,
-    cut_part,
     dialogue,
     external_axes,
-    forming_claims,
-    forming_holes,
-    forming_level,
-    forming_part,
-    forming_tool,
-    forming_two_tools,
-    given_poses,
     handshake,
     krl_spline,
-    milling_cutter,
     moves_and_settings,
     part_file,
     robot_motion,
     setups_and_frames,
-    springback,
-    straight_wire,
     synchronisation,
     text,
     track_along,
     track_way,
     trajectories,
-    trim,
-    trim_knife,
-    trim_mill,
     waiting_time,
-    wire,
 )
-from planner.verify.trim import outlines
-from planner.verify.trim.torch_motion import Trimming
-from planner.verify.wire.wire_motion import Wire
-from planner.verify.wire.wire_motion import wires as all_wires
 
 _RuleTable = tuple[Rule[[Context], Outcome], ...]
 
@@ -183,47 +174,47 @@ OTHER_RULES: tuple[Rule[..., Any], ...] = (
 )
 """Rules about any motion that ask the most time; another process may look at the last six of them."""
 FORMING_RULES: tuple[Rule[[Context, Forming], Outcome], ...] = (
-    forming_part.forming_part,
+    part.forming_part,
     forming_holes.forming_holes,
     forming_claims.forming_claims,
     springback.springback,
-    forming_level.level,
-    forming_tool.feature_order,
-    forming_tool.feed,
-    forming_tool.lean,
-    forming_tool.gouge,
-    forming_two_tools.gap,
-    forming_two_tools.border,
-    forming_two_tools.opposite,
-    forming_tool.sheet,
-    forming_tool.holder,
-    forming_two_tools.by_table,
+    level.level,
+    tool.feature_order,
+    tool.feed,
+    tool.lean,
+    tool.gouge,
+    two_tools.gap,
+    two_tools.border,
+    two_tools.opposite,
+    tool.sheet,
+    tool.holder,
+    two_tools.by_table,
 )
 """Rules about sheets."""
-FORMED_RULES: tuple[Rule[..., Any], ...] = (forming_tool.formed,)
+FORMED_RULES: tuple[Rule[..., Any], ...] = (tool.formed,)
 """The rule about the formed part, behind all others about sheets."""
 
-MILLED_RULES: tuple[Rule[..., Any], ...] = (milling_cutter.milled,)
+MILLED_RULES: tuple[Rule[..., Any], ...] = (cutter.milled,)
 """The rule about the milled part, before all others about mills."""
 MILLING_RULES: tuple[Rule[[Context, Milling], Outcome], ...] = (
-    milling_cutter.mill_gouge,
-    milling_cutter.mill_path,
-    milling_cutter.mill_feed,
-    milling_cutter.spindle,
+    cutter.mill_gouge,
+    cutter.mill_path,
+    cutter.mill_feed,
+    cutter.spindle,
 )
 """Rules about mills."""
 
 TRIM_RULES: tuple[Rule[[Context, Trimming], Outcome], ...] = (
-    trim.trim_cut,
-    trim.trim_kept,
-    trim.trim_torch,
-    trim.trim_arc,
-    trim.trim_order,
-    trim.trim_feed,
-    trim.trim_clear,
-    trim_mill.trim_mill,
-    trim_mill.trim_spindle,
-    trim_knife.trim_knife,
+    slots.trim_cut,
+    slots.trim_kept,
+    slots.trim_torch,
+    slots.trim_arc,
+    slots.trim_order,
+    slots.trim_feed,
+    slots.trim_clear,
+    mill.trim_mill,
+    mill.trim_spindle,
+    knife.trim_knife,
 )
 """Rules about sheets that are trimmed."""
 
@@ -431,11 +422,11 @@ class Prover:
             if run.long:  # what one leaves free would count beside what the next one needs
                 release_memory()
             yield
-        outcome, formed = forming_tool.formed(context, forming, envelopes)
+        outcome, formed = tool.formed(context, forming, envelopes)
         run.add("verify.formed", outcome)
         yield
         milling = Milling(context, executor)
-        outcome, milled = milling_cutter.milled(context, milling)
+        outcome, milled = cutter.milled(context, milling)
         run.add("verify.milled", outcome)
         yield
         for mill_rule in MILLING_RULES:

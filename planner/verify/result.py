@@ -19,13 +19,13 @@ from planner.issues import Issue, has_errors
 from planner.languages.krl.reader.parser import without_comments
 from planner.languages.rapid.reader.lexer import Cursor
 from planner.languages.urscript.reader.words import without_comments as without_hash_comments
+from planner.processes.forming.proof.state import Forming
+from planner.processes.hotwire.proof.rules.wire import feed_speed
+from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.verify.context import Context
-from planner.verify.forming.state import Forming
 from planner.verify.replay import arm_model
 from planner.verify.replay.inverse_kinematics import singularity_distance
 from planner.verify.replay.motion import differences
-from planner.verify.rules.wire import feed_speed
-from planner.verify.wire.wire_motion import Wire
 
 
 @dataclasses.dataclass(frozen=True)

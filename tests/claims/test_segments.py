@@ -28,8 +28,8 @@ from planner.programs.text import segment_of_name
 from planner.verify import prove
 from tests import line_ends, small_problem
 from tests.processes.hotwire.plan.straight import test_job as test_straight
+from tests.processes.hotwire.proof import straight_job
 from tests.processes.milling.plan import small_mill
-from tests.verify import straight_job
 from tests.verify.planner_jobs import JOBS
 
 PHASES = st.sampled_from(["", "in", "out"])

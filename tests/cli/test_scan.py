@@ -22,10 +22,10 @@ from planner.geometry.units import MM
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.processes import registry
+from planner.processes.forming.proof.rules import springback
+from planner.processes.forming.proof.state import Forming
 from planner.shopfloor.scan import cloud
 from planner.verify.context import Context
-from planner.verify.forming.state import Forming
-from planner.verify.rules import springback
 from tests import small_forming
 from tests.processes.forming.plan.springback import springback_files as files
 from tests.shopfloor.scan.made_scan import made_scan, write_marks, write_ply

@@ -19,7 +19,7 @@ from planner.files import RESULT, write_folder
 from planner.issues import TandemError
 from planner.problem import Problem
 from planner.reading import problem as problem_file
-from tests.verify import bead_job
+from tests.processes.hotwire.proof import bead_job
 
 KEYGEN = shutil.which("ssh-keygen")
 needs_keygen = pytest.mark.skipif(KEYGEN is None, reason="no ssh-keygen here: install openssh-client")

@@ -13,7 +13,8 @@ from planner.issues import Severity
 from planner.programs import job
 from planner.programs import text as program_text
 from planner.programs.steps import MoveStep
-from tests.verify import krl_job, small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import krl_job, small_job
 from tests.verify.provers import prover
 from tests.verify.rapid_edits import name
 

@@ -19,8 +19,8 @@ from planner.report import markup, motion_charts, output, page_sections, setup_s
 from planner.report.output import Extra
 from planner.verify.result import Proof, RuleResult
 from tests.languages.writing import krl_job
+from tests.processes.hotwire.proof import straight_job
 from tests.report import synthetic_job as job
-from tests.verify import straight_job
 
 VOID = {"meta", "img", "br", "link", "input"}
 

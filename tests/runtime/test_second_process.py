@@ -28,7 +28,9 @@ from planner.runtime.second_process import SMALL_BYTES, SecondProcess, open_exec
 from planner.verify import prove as verify_prove
 from planner.verify.prove import prove
 from tests import small_problem
-from tests.verify import forming_job, small_job, straight_job
+from tests.processes.forming.proof import forming_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import small_job
 
 
 class Recorder(SecondProcess):

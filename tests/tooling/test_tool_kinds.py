@@ -47,8 +47,8 @@ from planner.verify.prove import Prover
 from tests import small_forming
 from tests.cell.cells import BLOCK, alone
 from tests.processes.hotwire.plan import foam_blocks
+from tests.processes.hotwire.proof import straight_job
 from tests.processes.milling.plan import small_mill
-from tests.verify import straight_job
 from tests.verify.provers import broken
 
 MILL = {"kind": "mill", "diameter_mm": 10, "flute_mm": 30, "overhang_mm": 60, "mass_kg": 3}

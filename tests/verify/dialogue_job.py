@@ -21,7 +21,8 @@ from planner.claims.vocabulary import (
 )
 from planner.languages.writing import write
 from planner.targets import Action
-from tests.verify import small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import small_job
 from tests.verify.small_job import AWAY, LENGTH, SIGNAL
 
 COLD_MM = 493.2

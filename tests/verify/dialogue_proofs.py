@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 
 from planner.verify.prove import Prover
-from tests.verify import dialogue_job, handshake_job, small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import dialogue_job, handshake_job, small_job
 
 CODE = "verify.dialogue"
 

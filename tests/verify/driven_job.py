@@ -10,7 +10,8 @@ import hashlib
 import json
 
 from planner.languages.writing import write
-from tests.verify import held_job, small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import held_job, small_job
 
 BOW, BENT = "straight.trajectory.jsonl", "small.trajectory.jsonl"
 COUNT = 12

@@ -29,8 +29,8 @@ from planner.plans import Plan
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
 from planner.tooling import bow, gripper_plate
 from tests import line_ends
+from tests.processes.hotwire.proof.straight_job import AIR, FEED, KERF, MARGIN, SIGNAL, SIZE, TOLERANCE
 from tests.verify.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of
-from tests.verify.straight_job import AIR, FEED, KERF, MARGIN, SIGNAL, SIZE, TOLERANCE
 
 DIGEST = "ef56" * 16
 BASES = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.claims.claim import FollowsPoses
 from planner.languages.writing import write
-from tests.verify import straight_job
+from tests.processes.hotwire.proof import straight_job
 
 MODEL = "kr10_r1100"
 POSITION = 0.1e-3

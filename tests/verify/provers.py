@@ -9,7 +9,8 @@ from planner.pipeline import Outcome
 from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
-from tests.verify import held_job, krl_job, small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import held_job, krl_job, small_job
 
 JOBS = {"straight": straight_job, "held": held_job, "small": small_job, "krl": krl_job}
 ABB = ("straight", "held", "small")

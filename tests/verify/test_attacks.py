@@ -13,8 +13,9 @@ import pytest
 
 from planner.claims.vocabulary import Segment
 from planner.verify.prove import Prover
-from tests.verify import held_job, provers, small_job, straight_job
-from tests.verify.bow_edits import moves, put, rows_of
+from tests.processes.hotwire.proof import straight_job
+from tests.processes.hotwire.proof.bow_edits import moves, put, rows_of
+from tests.verify import held_job, provers, small_job
 from tests.verify.provers import ABB, JOBS, prover
 from tests.verify.rapid_edits import edit, name
 

@@ -13,11 +13,12 @@ import trimesh
 
 from planner.claims.claim import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
 from planner.claims.vocabulary import Segment
+from planner.processes.hotwire.proof.rules.straight_wire import between, guide_normals, off_guide
+from planner.processes.hotwire.proof.walls import walls
 from planner.verify.prove import Prover
-from planner.verify.rules.straight_wire import between, guide_normals, off_guide
-from planner.verify.wire.walls import walls
-from tests.verify import small_job, straight_job
-from tests.verify.bow_edits import moves, put, rows_of
+from tests.processes.hotwire.proof import straight_job
+from tests.processes.hotwire.proof.bow_edits import moves, put, rows_of
+from tests.verify import small_job
 from tests.verify.rapid_edits import edit, name
 
 COUNT = 12
@@ -115,7 +116,8 @@ OF_ANOTHER = (("cut/top", 0.04, False), ("cut/other", 0.01, True))
 @pytest.mark.parametrize("by", [18.0, 12.0, 0.0])
 def test_a_slit_is_one_plane_on_the_outer_side_of_its_contour(contours, by):
     """Leave to come through the part is none to go elsewhere, nor on beyond the contour in the slit's own
-    plane. (Slits that are as they have to be: tests/verify/rules/test_straight_wire_slits.py.)"""
+    plane. (Slits that are as they have to be:
+    tests/processes/hotwire/proof/rules/test_straight_wire_slits.py.)"""
     assert "verify.part" in codes(straight_job, through_the_part(by), "verify.part", contours)
 
 

@@ -9,11 +9,12 @@ import re
 import numpy as np
 import pytest
 
+from planner.processes.hotwire.proof.rules.wire import stop_in_foam
+from planner.processes.hotwire.proof.wire_motion import wires
 from planner.verify.context import Context
-from planner.verify.rules.wire import stop_in_foam
-from planner.verify.wire.wire_motion import wires
-from tests.verify import held_job, provers, straight_job
-from tests.verify.bow_edits import moves, put, rows_of
+from tests.processes.hotwire.proof import straight_job
+from tests.processes.hotwire.proof.bow_edits import moves, put, rows_of
+from tests.verify import held_job, provers
 from tests.verify.provers import JOBS, prover
 from tests.verify.rapid_edits import edit, name
 

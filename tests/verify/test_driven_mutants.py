@@ -19,7 +19,8 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.replay import moves
 from planner.verify.trajectories import tool_speeds
-from tests.verify import driven_job, held_job, provers, small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import driven_job, held_job, provers, small_job
 from tests.verify.driven_mutants import BENT, HELD, MUTATORS
 
 FULL = 12

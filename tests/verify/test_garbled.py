@@ -18,7 +18,8 @@ from planner.programs.text import decode
 from planner.verify.prove import Prover
 from tests.languages.krl.reader.wall_program import texts as krl_texts
 from tests.languages.rapid.reader.rapid_texts import FULL
-from tests.verify import krl_job, small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import krl_job, small_job
 from tests.verify.garbled import garble
 from tests.verify.rapid_edits import name
 from tests.work import counted

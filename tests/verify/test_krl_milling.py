@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.processes.milling.plan.small_mill import WALL
-from tests.verify.milling_job import Job
+from tests.processes.milling.proof.milling_job import Job
 
 MAIN, MOVES = "robot/wall.src", "robot/wall_1.src"
 BLOCK = r"tm_answer=0\r\nWHILE tm_answer<>1\r\ntm_msg=.*{text}.*\r\n(?:.*\r\n){{8}}"

@@ -13,7 +13,8 @@ from planner import pipeline
 from planner.cli import command_line
 from planner.issues import TandemError
 from planner.verify.partial import read_partly
-from tests.verify import krl_job, straight_job, ur_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import krl_job, ur_job
 from tests.verify.garbled import garble
 from tests.verify.rapid_edits import name
 

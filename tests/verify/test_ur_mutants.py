@@ -16,7 +16,8 @@ from planner.languages.writing import write
 from planner.verify import result
 from planner.verify.prove import Prover
 from tests import urdf_text
-from tests.verify import provers, straight_job, ur_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import provers, ur_job
 from tests.verify.ur_mutants import FILE, MUTATORS
 
 SAMPLE = 1

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 
 from planner.claims.claim import FollowsPoses
-from tests.verify import straight_job
+from tests.processes.hotwire.proof import straight_job
 
 MODEL = "ur10e"
 POSITION = 0.1e-3

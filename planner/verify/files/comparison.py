@@ -21,15 +21,15 @@ from scipy.spatial.transform import Rotation
 from planner.claims.claim import CutsSurface
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import closest_on_triangles
+from planner.processes.forming.proof.face import Face, least_gap
+from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.swept import Swept, swept
+from planner.processes.hotwire.proof.cut_surface import Sweep, distance_to_sweep
 from planner.processes.milling.claims import MillsSurface
+from planner.processes.milling.proof.tool_motion import BEND_SHARE, SIGHT_DISTANCE, Milling, solids, sweep
 from planner.verify.context import Context
 from planner.verify.files import Samples, on_triangles
 from planner.verify.files.sheets import SheetFace
-from planner.verify.forming.face import Face, least_gap
-from planner.verify.forming.state import Forming
-from planner.verify.forming.swept import Swept, swept
-from planner.verify.milling.tool_motion import BEND_SHARE, SIGHT_DISTANCE, Milling, solids, sweep
-from planner.verify.wire.cut_surface import Sweep, distance_to_sweep
 
 _SAME_MOMENT_FACTOR: Final = 1.3
 """Moments of inertia whose square roots differ by less than this factor may be the same."""

@@ -23,6 +23,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
 from planner.issues import Issue, TandemError
 from planner.problem import Settings
 from planner.processes.forming.claims import ToolGap
+from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
 from planner.verify.replay.clearance_samples import (
     DISTANCE_PRECISION,
@@ -34,7 +35,6 @@ from planner.verify.replay.clearance_samples import (
     least_distances,
     travel,
 )
-from planner.verify.wire.wire_motion import Wire
 
 Models = Callable[[int], CellModel]
 

@@ -15,6 +15,8 @@ from planner.claims import vocabulary
 from planner.claims.claim import FollowsRulings, OneOf, WireJoins
 from planner.claims.vocabulary import DialogueStep, OperatorDialogue, Sentence
 from planner.issues import Issue
+from planner.processes.hotwire.proof.rules.straight_wire import guide_normals, off_guide
+from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.programs.job import TaskText
 from planner.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
 from planner.verify.context import Context, Outcome, at_step, rule
@@ -33,8 +35,6 @@ from planner.verify.programs.operator_dialogue import (
 from planner.verify.programs.operator_dialogue import sentence_text as sentence_of
 from planner.verify.replay.motion import local
 from planner.verify.rules import trajectories
-from planner.verify.rules.straight_wire import guide_normals, off_guide
-from planner.verify.wire.wire_motion import Wire
 
 DIALOGUE = "verify.dialogue"
 """Code of the rule about what is told and asked."""

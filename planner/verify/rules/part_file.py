@@ -20,14 +20,14 @@ from planner.claims.claim import CutsSurface
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
+from planner.processes.forming.proof.state import Forming
+from planner.processes.hotwire.proof.cut_surface import Sweep
+from planner.processes.milling.proof.tool_motion import Milling
 from planner.verify.context import Context, Outcome, mm, rule
 from planner.verify.files import Samples, UnreadError, comparison, on_triangles, pose
 from planner.verify.files.comparison import Made
 from planner.verify.files.sheets import sheet_face
 from planner.verify.files.surfaces import Surface, stated
-from planner.verify.forming.state import Forming
-from planner.verify.milling.tool_motion import Milling
-from planner.verify.wire.cut_surface import Sweep
 
 PART_FILE: Final = "verify.part_file"
 """Code of this rule."""

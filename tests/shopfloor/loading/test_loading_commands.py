@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from planner.cli import command_line
+from tests.processes.hotwire.proof import bead_job
 from tests.shopfloor.loading.rws_server import SECRET, Controller
-from tests.verify import bead_job
 
 Run = Callable[..., tuple[int, str]]
 

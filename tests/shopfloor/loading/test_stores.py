@@ -22,9 +22,9 @@ from planner.shopfloor.loading import store as stores
 from planner.shopfloor.loading.http_link import Login, Trust
 from planner.shopfloor.loading.proven import Proven
 from planner.shopfloor.loading.store import Ftp, Share
+from tests.processes.hotwire.proof import bead_job
 from tests.shopfloor.loading.ftps_server import Ftps
 from tests.shopfloor.loading.rws_server import certificate, fingerprint
-from tests.verify import bead_job
 
 MACHINE = '$TRAFONAME[]="#KR60HA C4 FLR"\n$ROBROOT={X 0.0,Y 0.0,Z 0.0,A 0.0,B 0.0,C 0.0}\n'
 CONFIG = """DEFDAT $CONFIG PUBLIC

@@ -10,7 +10,7 @@ import pytest
 
 from planner.geometry.arrays import exp_rotation, to_quaternion
 from planner.shopfloor.loading.touched import changes, touched
-from tests.verify import bead_job
+from tests.processes.hotwire.proof import bead_job
 
 CUT = "T_ROB1/TandemCut1_1.mod"
 DATA = "T_ROB1/TandemData_1.mod"

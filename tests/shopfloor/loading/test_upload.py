@@ -16,8 +16,8 @@ from planner.shopfloor.loading.http_link import Link, Login, Trust
 from planner.shopfloor.loading.proven import Proven
 from planner.shopfloor.loading.rws import Rws
 from planner.shopfloor.loading.store import Share
+from tests.processes.hotwire.proof import bead_job
 from tests.shopfloor.loading.rws_server import SECRET, USER, Controller, certificate, fingerprint
-from tests.verify import bead_job
 
 TOOL = "[TRUE,[[0,0,160],[1,0,0,0]],[0.9,[0,0,60],[1,0,0,0],0,0,0]]"
 OBJECT = '[FALSE,TRUE,"",[[560,0,220],[1,0,0,0]],[[0,0,0],[1,0,0,0]]]'

@@ -17,11 +17,11 @@ from planner.processes.forming.plan.operation import Springback
 from planner.processes.forming.plan.process_plan import lay_all
 from planner.processes.forming.plan.springback.compensation import at_targets
 from planner.processes.forming.plan.springback.compensation_file import Compensation
+from planner.processes.forming.proof import scan_field
+from planner.processes.forming.proof.springback_file import Measured
 from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.scan import adjustment, deviation, forming_rate
 from planner.shopfloor.scan.cloud import Cloud
-from planner.verify.forming import scan_field
-from planner.verify.forming.springback_file import Measured
 from tests.shopfloor.scan import rounds
 from tests.shopfloor.scan.rounds import GIVES_WAY, KINDS, Rounds, next_one
 

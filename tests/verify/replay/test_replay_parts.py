@@ -13,10 +13,10 @@ from planner.cell.kinematics import forward
 from planner.claims.claim import CutsSurface, KerfCurve
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import from_parts
+from planner.processes.hotwire.proof.cut_surface import Sweep, closest, cut_face
 from planner.verify.context import Context
 from planner.verify.replay import arm_model, inverse_kinematics, moves
 from planner.verify.replay.motion import Grown, GrownPoses, Poses, Runs, differences
-from planner.verify.wire.cut_surface import Sweep, closest, cut_face
 from tests.robot_sample import SAMPLE
 from tests.verify import held_job, small_job
 

@@ -18,7 +18,8 @@ from planner.tooling import gripper_plate
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules.block_support import rests
-from tests.verify import held_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import held_job
 
 
 def faults(problem: Problem, job: Any) -> list[str]:

@@ -17,7 +17,8 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules.controller_files import controller_files
 from tests.languages.writing import krl_job as post_job
-from tests.verify import krl_job, provers, small_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import krl_job, provers, small_job
 from tests.verify.controller_mutants import ABB, HOME, KUKA, LEFT, swap
 
 COUNT = 12
@@ -153,7 +154,7 @@ def test_lines_of_krl_may_be_laid_out_otherwise():
 
 
 def test_files_of_a_job_without_power_are_refused():
-    from tests.verify import forming_job
+    from tests.processes.forming.proof import forming_job
 
     files = {**forming_job.programs(), HOME + "EIO.cfg": abb()[1][HOME + "EIO.cfg"]}
     proof = Prover(forming_job.problem(), forming_job.claims()).prove(files, last=RULE)

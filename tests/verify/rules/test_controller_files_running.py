@@ -15,7 +15,8 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules.controller_files import controller_files
 from tests.languages.writing import krl_job
-from tests.verify import handshake_job, small_job, wire_mutants
+from tests.processes.hotwire.proof import wire_mutants
+from tests.verify import handshake_job, small_job
 from tests.verify.controller_mutants import swap
 
 A, K = "irb140", "kr10_r1100"

@@ -17,7 +17,8 @@ from planner.reading.controller import ControllerFile, controllers
 from planner.verify import prove
 from planner.verify.rules import clearance
 from tests import small_problem
-from tests.verify import spline_job, straight_job
+from tests.processes.hotwire.proof import straight_job
+from tests.verify import spline_job
 from tests.verify.spline_job import MAIN, MOVES, broken
 from tests.verify.spline_mutants import MUTATORS, REWRITES, instances, made
 

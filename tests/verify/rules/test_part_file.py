@@ -20,11 +20,11 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.mesh import vertex_normals
 from planner.geometry.rulings import outward_sides, tessellate
 from planner.geometry.wing import naca
+from planner.processes.hotwire.proof.cut_surface import Sweep
 from planner.verify.prove import Prover
 from planner.verify.rules import part_file
-from planner.verify.wire.cut_surface import Sweep
+from tests.processes.forming.proof import forming_job
 from tests.reading.part_specs import make
-from tests.verify import forming_job
 from tests.verify.files.part_files import HIGH, LOW, absolute, grid_obj, hills
 
 KERF, TOLERANCE = 0.002, 0.3

@@ -19,17 +19,17 @@ from planner.languages.writing import write as post
 from planner.motion import solve
 from planner.processes import registry
 from planner.processes.forming.claims import FormsInOrder, FormsPart, FormsSheet
+from planner.processes.forming.proof.rules.part import forming_part
+from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.claims import TrimsSheet
+from planner.processes.trim.proof import outlines
+from planner.processes.trim.proof.rules.forming_holes import forming_holes
+from planner.processes.trim.proof.torch_motion import Trimming
 from planner.verify.context import Context
-from planner.verify.forming.state import Forming
 from planner.verify.prove import Prover
-from planner.verify.rules.forming_holes import forming_holes
-from planner.verify.rules.forming_part import forming_part
-from planner.verify.trim import outlines
-from planner.verify.trim.torch_motion import Trimming
 from tests.processes.forming.plan.staged import DEPTHS, SUMP_RADIUS, problem
+from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.test_proof import moved
-from tests.verify.milling_job import in_procedure
 
 Claims = Mapping[str, tuple[Claim, ...]]
 

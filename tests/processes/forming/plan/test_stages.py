@@ -18,10 +18,10 @@ from planner.processes import registry
 from planner.processes.forming.plan.job import FormingJob
 from planner.processes.forming.plan.process_plan import lay_all
 from planner.processes.forming.plan.stages import formed_sheet, hole_issues, shown
+from planner.processes.forming.proof.rules.part import forming_part
+from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.plan.job import TrimJob
 from planner.verify.context import Context
-from planner.verify.forming.state import Forming
-from planner.verify.rules.forming_part import forming_part
 from tests.processes.forming.plan.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
 from tests.processes.trim.plan.small_trim import data
 from tests.small_forming import die, dish, dish_with_a_dome, upside_down, write

@@ -16,7 +16,7 @@ from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.plan.check import check
 from planner.processes.forming.plan.job import FormingJob
 from planner.processes.forming.plan.process_plan import lay_all
-from planner.verify.forming import stated_force
+from planner.processes.forming.proof import stated_force
 from tests import small_forming
 from tests.processes.forming.plan import shapes
 

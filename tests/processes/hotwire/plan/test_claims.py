@@ -23,8 +23,13 @@ from planner.processes.hotwire.plan.kerf import width as kerf_width
 from planner.processes.hotwire.plan.operation import SurfaceCut
 from planner.processes.hotwire.plan.straight.cut import choose
 from planner.processes.hotwire.plan.straight.order import depths, wanted_surfaces
+from planner.processes.hotwire.proof.slits import (
+    BLOCK_DIAGONAL_SHARE,
+    CONTOUR_SHARE,
+    SLIT_LENGTH_FACTOR,
+    Section,
+)
 from planner.reading import materials as material_file
-from planner.verify.wire.slits import BLOCK_DIAGONAL_SHARE, CONTOUR_SHARE, SLIT_LENGTH_FACTOR, Section
 from tests.processes.hotwire.plan import foam_blocks as blocks
 
 DATA = Path(planner.__file__).parent / "data"

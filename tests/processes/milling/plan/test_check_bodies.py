@@ -12,8 +12,8 @@ from planner.geometry.arrays import FloatArray
 from planner.processes.milling.plan import check
 from planner.processes.milling.plan.job import MillingJob, claims
 from planner.processes.milling.plan.process_plan import work
+from planner.processes.milling.proof import tool_motion
 from planner.tooling import Cutter
-from planner.verify.milling import tool_motion
 from tests.processes.milling.plan.small_mill import WALL, problem
 
 BEHIND = np.array([[0.08, 0.02], [0.12, 0.02], [0.12, 0.05], [0.3, 0.05]])

@@ -15,9 +15,9 @@ from planner.issues import TandemError
 from planner.processes import registry
 from planner.processes.milling.plan import point_cut
 from planner.processes.milling.plan.operation import EngraveCut
+from planner.processes.milling.proof.wanted_ways import each_curve
 from planner.reading import problem as problem_file
 from planner.reading import rhino
-from planner.verify.milling.wanted_ways import each_curve
 from tests.processes.milling.plan import small_mill
 from tests.rhino_files import Model, along, curve
 

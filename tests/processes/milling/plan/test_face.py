@@ -13,7 +13,7 @@ from planner.processes.milling.claims import MillsSurface
 from planner.processes.milling.plan import cutter_contact as milling_face
 from planner.processes.milling.plan.process_plan import work
 from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
-from tests.verify.milling_job import Job
+from tests.processes.milling.proof.milling_job import Job
 
 RADIUS = 0.05
 

@@ -12,12 +12,12 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.processes import registry
 from planner.processes.milling.claims import SparesPart
 from planner.processes.milling.plan import check
+from planner.processes.milling.proof import tool_motion
+from planner.processes.milling.proof.tool_motion import edges, near_places, rim_size, rim_step
 from planner.tooling import Cutter
-from planner.verify.milling import tool_motion
-from planner.verify.milling.tool_motion import edges, near_places, rim_size, rim_step
 from tests.processes.milling.plan.small_mill import BALL, PANEL, WALL
 from tests.processes.milling.plan.swept_solids import heights, shell, signed, swept
-from tests.verify.milling_job import Job
+from tests.processes.milling.proof.milling_job import Job
 
 BEHIND = np.array([[0.04, 0.02], [0.1, 0.02]])
 CUTTERS = [

@@ -15,12 +15,12 @@ from planner.languages.writing import write as post
 from planner.motion import solve
 from planner.problem import Problem
 from planner.processes import registry
+from planner.processes.forming.proof.state import Forming
+from planner.processes.trim.proof import outlines
+from planner.processes.trim.proof.torch_motion import Trimming
 from planner.verify.context import Context
-from planner.verify.forming.state import Forming
 from planner.verify.prove import TRIM_RULES, Prover
 from planner.verify.result import Proof
-from planner.verify.trim import outlines
-from planner.verify.trim.torch_motion import Trimming
 from tests import urdf_text
 from tests.small_forming import CELLS, dish
 from tests.small_forming import write as write_forming

@@ -12,14 +12,14 @@ import pytest
 
 from planner.issues import Issue, TandemError
 from planner.processes import registry
+from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.claims import TrimsSheet
 from planner.processes.trim.plan.operation import Trim, every_outline
+from planner.processes.trim.proof.outlines import drawn, expanded, order, worked_out
+from planner.processes.trim.proof.torch_motion import Trimming
 from planner.verify.context import Context
 from planner.verify.files import UnreadError
-from planner.verify.forming.state import Forming
 from planner.verify.prove import TRIM_RULES
-from planner.verify.trim.outlines import drawn, expanded, order, worked_out
-from planner.verify.trim.torch_motion import Trimming
 from tests.processes.trim.plan.small_trim import Job, problem
 from tests.rhino_files import Model
 

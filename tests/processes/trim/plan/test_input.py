@@ -16,8 +16,8 @@ from planner.issues import Issue, TandemError
 from planner.languages.writing import write as post
 from planner.processes import registry
 from planner.processes.trim.plan.face import Face, apart, lay, offset
+from planner.processes.trim.proof.outlines import winding
 from planner.tooling import torch
-from planner.verify.trim.outlines import winding
 from tests.processes.trim.plan.small_trim import data, of_ur, problem
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming

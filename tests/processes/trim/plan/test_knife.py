@@ -19,11 +19,11 @@ from planner.processes import registry
 from planner.tooling import Blade, knife
 from planner.verify.prove import Prover
 from tests import urdf_text
+from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import KUKA, TRIM, Job, data
 from tests.processes.trim.plan.test_proof import TARGET, leant, moved, replaced, timed, without_moves
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming
-from tests.verify.milling_job import in_procedure
 
 KNIFE: dict[str, Any] = {
     "kind": "knife",

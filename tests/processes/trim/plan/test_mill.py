@@ -22,22 +22,23 @@ from planner.issues import TandemError
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
+from planner.processes.forming.proof.state import Forming
+from planner.processes.hotwire.proof.rules.wire import signals
 from planner.processes.trim.plan.check import gouged
 from planner.processes.trim.plan.cutting import Cutting, shank_body
 from planner.processes.trim.plan.face import Face, lay
 from planner.processes.trim.plan.operation import OutlineFile
 from planner.processes.trim.plan.slots import Wanted
+from planner.processes.trim.proof import outlines
+from planner.processes.trim.proof.rules.mill import _beside, trim_mill, trim_spindle
+from planner.processes.trim.proof.rules.slots import trim_cut
+from planner.processes.trim.proof.torch_motion import Trimming
 from planner.targets import ScrewFreedom
 from planner.tooling import mill
 from planner.verify.context import Context
-from planner.verify.forming.state import Forming
 from planner.verify.prove import Prover
-from planner.verify.rules.trim import trim_cut
-from planner.verify.rules.trim_mill import _beside, trim_mill, trim_spindle
-from planner.verify.rules.wire import signals
-from planner.verify.trim import outlines
-from planner.verify.trim.torch_motion import Trimming
 from tests import urdf_text
+from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
 from tests.processes.trim.plan.test_proof import (
     before_last_move,
@@ -50,7 +51,6 @@ from tests.processes.trim.plan.test_proof import (
 from tests.small_forming import die, dish
 from tests.small_forming import write as write_forming
 from tests.verify import handshake_job
-from tests.verify.milling_job import in_procedure
 
 ROUND, WALL = OUTLINES[0], OUTLINES[1]
 MAIN = "operation_1"

@@ -12,7 +12,7 @@ from planner.geometry.arrays import Mesh
 from planner.processes import registry
 from planner.processes.trim.claims import TrimsSheet
 from planner.processes.trim.plan.face import Face
-from planner.verify.trim.outlines import SheetSide
+from planner.processes.trim.proof.outlines import SheetSide
 from tests.processes.trim.plan.small_trim import OUTLINES, data, milled
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming

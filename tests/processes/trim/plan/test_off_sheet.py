@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.verify.trim import torch_motion
-from planner.verify.trim.torch_motion import cylinder
+from planner.processes.trim.proof import torch_motion
+from planner.processes.trim.proof.torch_motion import cylinder
 
 RADIUS = 4e-3
 

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from planner.processes.forming.proof.state import Forming
+from planner.processes.trim.proof import outlines
+from planner.processes.trim.proof.rules.slots import _closed
+from planner.processes.trim.proof.torch_motion import Trimming, Way
 from planner.verify.context import Context
-from planner.verify.forming.state import Forming
-from planner.verify.rules.trim import _closed
-from planner.verify.trim import outlines
-from planner.verify.trim.torch_motion import Trimming, Way
+from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import Job
-from tests.verify.milling_job import in_procedure
 
 Programs = dict[str, str]
 NUMBER = r"(-?\d+\.\d+)"

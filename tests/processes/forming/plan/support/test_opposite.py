@@ -14,11 +14,11 @@ from planner.processes.forming.plan.paths.contact_path import make_path
 from planner.processes.forming.plan.paths.spiral import PathOptions
 from planner.processes.forming.plan.support.modes import tool_path
 from planner.processes.forming.plan.support.opposite import FACING_TURN, Touching, opposite_path
+from planner.processes.forming.proof import state
+from planner.processes.forming.proof.face import Face
+from planner.processes.forming.proof.rules.two_tools import _off_directions
+from planner.processes.forming.proof.state import TOUCHED_WITHIN, Track, pieces
 from planner.tooling import FormingHead
-from planner.verify.forming import state
-from planner.verify.forming.face import Face
-from planner.verify.forming.state import TOUCHED_WITHIN, Track, pieces
-from planner.verify.rules.forming_two_tools import _off_directions
 from tests.processes.forming.plan.paths.path_faces import cone
 from tests.processes.forming.plan.shapes import BALL, T0, operation
 

@@ -12,8 +12,8 @@ from planner.claims.claim import CutsSurface, KerfWithin
 from planner.issues import TandemError
 from planner.processes.hotwire.plan.elastic import job as elastic_job
 from planner.processes.hotwire.plan.kerf.width import HotWire, curve
+from planner.processes.hotwire.proof.cut_surface import Sweep, distance_to_sweep, sample_face
 from planner.targets import FEED_SHARE
-from planner.verify.wire.cut_surface import Sweep, distance_to_sweep, sample_face
 from tests.processes.hotwire.plan import panels
 
 FOAM = foam("eps_a120")

@@ -21,7 +21,7 @@ import pytest
 
 from planner.processes.milling.plan.job import program_file
 from planner.processes.milling.plan.tool_path import ToolPath
-from planner.verify.milling import gcode_moves
+from planner.processes.milling.proof import gcode_moves
 from tests.processes.milling.plan.gcode.gcode_programs import read, spec
 
 HERE = Path(__file__).parent

@@ -1,0 +1,495 @@
+"""Rules on the wire and its power.
+
+verify.wire_length, wire_stability, curvature, contact, stop_in_foam, feed, wire_mount.
+verify.wire_power, signals: on and hot in the foam, off at hands, switched in one plain way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from planner.claims.claim import ContactOnlyIn, FeedWindow, WireJoins
+from planner.geometry.arrays import FloatArray, inverse
+from planner.issues import Issue
+from planner.processes.forming.claims import SinksHolder
+from planner.processes.hotwire.proof.wire_motion import Wire, end_distances
+from planner.processes.trim.claims import TrimsSheet
+from planner.programs.job import TaskText, controllers
+from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
+from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
+from planner.verify.replay.motion import steps_across
+from planner.verify.rules import trajectories
+from planner.verify.trajectories.tool_speeds import LEAST_PART, STANDS, tool_speeds
+
+MOST_RESIDUAL = 1e-6
+"""A wire's shape is in balance where no residual of its equations is larger than this."""
+TAUT_SHARE = 0.9999
+"""Ends that are farther apart than this share of the wire's length leave it no bow."""
+MOST_ROUND = 2.0
+"""A way round a corner counts as so many times the straight one at most."""
+MELTING_DISTANCE = 1e-3
+"""A wire that stands nearer to foam than this melts it [m]."""
+
+
+@rule("verify.wire_length", WireJoins)
+def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """The ends of the wire are never farther apart than it is long, and it can be mounted."""
+    issues, worst, where = [], 0.0, ""
+    for wire in wires:
+        claim = wire.claim
+        if wire.fault:
+            issues.append(Issue("verify.wire_length", f"the wire cannot be followed: {wire.fault}"))
+            continue
+        if wire.path is None or wire.phase is None or not isinstance(claim, WireJoins):
+            continue
+        share = end_distances(context, wire.phase) / claim.length
+        worst = max(worst, float(share.max()))
+        if share.max() >= TAUT_SHARE:
+            message = (
+                f"the ends are {mm(share.max() * claim.length):.3f} mm apart; the wire is "
+                f"{mm(claim.length):.3f} mm long"
+            )
+            k = int(np.argmax(share))
+            issues.append(
+                Issue(
+                    "verify.wire_length",
+                    message,
+                    index=k,
+                    value=mm(share.max() * claim.length),
+                    limit=mm(claim.length),
+                    unit="mm",
+                )
+            )
+        if wire.path.residual.max() > MOST_RESIDUAL:
+            issues.append(
+                wire_issue(
+                    context,
+                    wire,
+                    "verify.wire_length",
+                    "no shape of the wire meets both clamps",
+                    int(np.argmax(wire.path.residual)),
+                )
+            )
+    if len(context.phases) < len(context.wires):
+        what = (
+            f"{len(context.wires)} bent wires are claimed; the programs move {len(context.phases)} together"
+        )
+        issues.append(Issue("verify.wire_length", what))
+    if not context.phases:
+        return Outcome(tuple(issues), nothing="no bent wire")
+    return Outcome(tuple(issues), 100.0 * worst, 100.0 * TAUT_SHARE, "% of its length", where)
+
+
+@rule("verify.wire_stability", WireJoins)
+def wire_stability(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """The wire's shape is stable all along and never snaps to another one."""
+    issues, least = [], np.inf
+    for wire in wires:
+        if wire.path is None:
+            continue
+        least = min(least, float(wire.path.min_eig.min()))
+        for k in np.flatnonzero(wire.path.jump)[:50]:
+            message = f"the wire snaps to another shape and moves by {mm(wire.path.moved[k]):.1f} mm"
+            issues.append(
+                wire_issue(
+                    context,
+                    wire,
+                    "verify.wire_stability",
+                    message,
+                    int(k),
+                    mm(float(wire.path.moved[k])),
+                    0.0,
+                    "mm",
+                )
+            )
+        lost = "the wire has no stable shape near the one it had"
+        issues += [
+            wire_issue(context, wire, "verify.wire_stability", lost, int(k))
+            for k in np.flatnonzero(~wire.path.stable)[:50]
+        ]
+    return Outcome(
+        tuple(issues),
+        None if not np.isfinite(least) else least,
+        0.0,
+        "of the first mode",
+        nothing="" if any(wire.path is not None for wire in wires) else "no bent wire",
+    )
+
+
+@rule("verify.curvature", WireJoins)
+def curvature(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """The wire is never bent beyond its elastic limit."""
+    issues, worst, limit = [], 0.0, np.inf
+    for wire in wires:
+        if wire.path is None:
+            continue
+        claim = wire.claim
+        if not isinstance(claim, WireJoins):
+            continue
+        bend = np.linalg.norm(wire.path.curvature, axis=2).max(axis=1)
+        limit = min(limit, claim.max_curvature)
+        worst = max(worst, float(bend.max()))
+        for k in np.flatnonzero(bend > claim.max_curvature)[:200]:
+            message = (
+                f"the wire is bent to a radius of {mm(1 / bend[k]):.1f} mm; allowed: "
+                f"{mm(1 / claim.max_curvature):.1f} mm"
+            )
+            issues.append(
+                wire_issue(
+                    context,
+                    wire,
+                    "verify.curvature",
+                    message,
+                    int(k),
+                    float(bend[k]),
+                    claim.max_curvature,
+                    "1/m",
+                )
+            )
+    if not np.isfinite(limit):
+        return Outcome(nothing="no bent wire")
+    return Outcome(tuple(issues), worst, limit, "1/m")
+
+
+@rule("verify.contact", ContactOnlyIn)
+def contact(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """The wire touches the stock only in segments that cut, each of them claimed by an operation of its
+    setup."""
+    issues, worst = [], -np.inf
+    for wire in wires:
+        other = ~wire.cutting
+        if not len(other) or not other.any():
+            continue
+        worst = max(worst, float(wire.depth[other].max()))
+        for k in np.flatnonzero(other & (wire.depth > 0.0))[:200]:
+            message = (
+                f"the wire is {mm(wire.depth[k]):.2f} mm inside the block in segment {wire.labels[k]}; "
+                f"setup {wire.setup + 1} cuts nothing there"
+            )
+            measure = mm(float(wire.depth[k])), 0.0, "mm"
+            issues.append(wire_issue(context, wire, "verify.contact", message, int(k), *measure))
+    if not np.isfinite(worst):
+        return Outcome(tuple(issues), nothing="no wire")
+    return Outcome(tuple(issues), mm(worst), 0.0, "mm")
+
+
+@rule("verify.stop_in_foam")
+def stop_in_foam(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """The wire never stands still inside the block, or so near to it that it melts foam; nor as good as
+    still, where trajectories state velocities."""
+    issues = []
+    motion = context.motion
+    stands = motion.node_stop | trajectories.standing(context)
+    for wire in wires:
+        stops = np.isin(wire.sample, motion.node_sample[stands])
+        for k in np.flatnonzero(stops & (wire.depth > -MELTING_DISTANCE)):
+            side = "inside" if wire.depth[k] > 0.0 else "off"
+            message = f"the wire stops {mm(abs(wire.depth[k])):.2f} mm {side} the block"
+            issues.append(wire_issue(context, wire, "verify.stop_in_foam", message, int(k)))
+    return Outcome(tuple(issues), nothing="" if wires else "no wire")
+
+
+@rule("verify.feed", FeedWindow)
+def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """The fastest point of the wire inside the block moves within the feed window; on the cubics of
+    trajectories at every instant no faster, by what the tools' speeds there are to their mean."""
+    issues: list[Issue] = []
+    worst, limit, where = 0.0, None, ""
+    for wire in wires:
+        speed = feed_speed(context, wire)
+        fastest, slowest = _driven_feed(context, wire, speed)
+        for claim in context.feeds:
+            if wire.setup != context.setup_of(claim):
+                continue
+            here = wire.labels[1:] == claim.segment.key
+            rows = np.flatnonzero(here & np.isfinite(speed[1:])) + 1
+            if not len(rows):
+                continue
+            share = np.maximum(fastest[rows] / claim.upper, claim.lower / np.maximum(slowest[rows], 1e-9))
+            if share.max() > worst:
+                worst, limit, where = float(share.max()), FEED_SLACK, str(claim.segment)
+            for k in rows[share > FEED_SLACK][:200]:
+                got = mm(_told(float(slowest[k]), float(fastest[k]), claim))
+                message = (
+                    f"the wire cuts at {got:.2f} mm/s; allowed: {mm(claim.lower):g} to "
+                    f"{mm(claim.upper):g} mm/s"
+                )
+                issues.append(
+                    wire_issue(
+                        context,
+                        wire,
+                        "verify.feed",
+                        message,
+                        int(k),
+                        got,
+                        mm(claim.upper),
+                        "mm/s",
+                    )
+                )
+    return Outcome(
+        tuple(issues), worst, limit, "of the window", where, "" if context.feeds else "no feed is claimed"
+    )
+
+
+def feed_speed(context: Context, wire: Wire) -> FloatArray:
+    """Speed (T,) [m/s] across the wire of its fastest point inside the block on the way to each station; NaN
+    where none is inside. A wire that also slides along itself cuts no faster for it."""
+    out = np.full(len(wire.sample), np.nan)
+    if len(out) < 2 or not wire.inside.any():
+        return out
+    step = steps_across(wire.points)
+    both = wire.inside[1:] & wire.inside[:-1]
+    time = np.diff(context.motion.time[wire.sample])
+    fastest = np.where(both, step, -np.inf).max(axis=1)
+    good = np.isfinite(fastest) & (time > 0.0)
+    out[1:][good] = fastest[good] / time[good]
+    return out
+
+
+def _told(mean: float, fastest: float, claim: FeedWindow) -> float:
+    """The one of two speeds that is farther out of a window."""
+    return float(fastest if fastest / claim.upper > claim.lower / max(mean, 1e-9) else mean)
+
+
+def _driven_feed(context: Context, wire: Wire, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The speeds (T,) [m/s] between which the wire's fastest point in the block goes to each station:
+    ``speed`` (T,), or where trajectories drive it as many times that as a tool is faster at an instant there
+    than on the mean from station to station, and as its way there is longer than the straight one: stations
+    stand on both sides of a corner."""
+    motion, times, longer = context.motion, np.ones(len(speed)), np.ones(len(speed))
+    longest = np.zeros(len(speed) - 1)
+    for arm, own in tool_speeds(context).items():
+        if arm not in wire.arms or len(speed) < 2:
+            continue
+        rows = np.arange(wire.sample[0], wire.sample[-1] + 1)
+        seen = inverse(context.stock_poses(wire.setup, rows)) @ motion.poses(arm, rows)
+        fast = np.linalg.norm(np.diff(seen[:, :3, 3], axis=0), axis=1)
+        fast /= np.maximum(np.diff(motion.time[rows]), 1e-9)
+        most = np.zeros(len(motion.node_stop))
+        np.maximum.at(most, motion.node[rows[1:]], fast)  # by samples, of each node
+        bound = np.ones(len(most))
+        bound[own.node] = own.peak / np.maximum(most[own.node], 1e-9)
+        here = wire.sample - wire.sample[0]
+        way = np.linalg.norm(np.diff(seen[here, :3, 3], axis=0), axis=1)
+        mean = way / np.maximum(np.diff(motion.time[wire.sample]), 1e-9)
+        peak = np.maximum.reduceat(fast, here[:-1]) * np.maximum(bound[motion.node[wire.sample[1:]]], 1.0)
+        goes = (way > LEAST_PART * longest) & (way > STANDS)
+        times[1:] = np.where(goes, np.maximum(times[1:], peak / np.maximum(mean, 1e-9)), times[1:])
+        looks, at = motion.looks, wire.sample + np.searchsorted(motion.between.sample, wire.sample)
+        there = looks.row[at[0] : at[-1] + 1]
+        seen = inverse(context.stock_poses(wire.setup, there)) @ motion.poses(arm, there)
+        gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(seen[:, :3, 3], axis=0), axis=1)))
+        gone = np.diff(gone[at - at[0]])
+        round_ = np.where(way > LEAST_PART * longest, gone / np.maximum(way, 1e-9), 1.0)
+        longer[1:] = np.where(way > 0.0, np.clip(round_, 1.0, MOST_ROUND), 1.0)
+        longest = np.maximum(longest, way)
+    return speed * times, speed * longer
+
+
+@rule("verify.wire_mount")
+def wire_mount(context: Context) -> Outcome:
+    """The operator confirms that the wire is mounted before the arms move together, and that it is off
+    before one moves alone."""
+    issues = []
+    for number, phase in enumerate(context.phases):
+        confirms = context.confirms(phase)
+        here = moving(context, phase)
+        if not confirms or confirms[0] > here[0]:
+            issues.append(
+                Issue(
+                    "verify.wire_mount",
+                    f"wire {number + 1} is moved before anyone confirms that it is mounted",
+                    hint="ask the operator first",
+                )
+            )
+        if not confirms or confirms[-1] < here[1]:
+            message = f"wire {number + 1}: nobody confirms that it is off before the arms move alone again"
+            issues.append(Issue("verify.wire_mount", message, hint="ask the operator first"))
+    return Outcome(tuple(issues), nothing="" if context.phases else "no wire")
+
+
+def moving(context: Context, phase: Phase) -> tuple[int, int]:
+    """Positions of the first and last step of synchronised stages among a phase's steps."""
+    synchronised = [
+        i
+        for i, (number, _, step) in enumerate(context.mounted_steps(phase))
+        if context.job.stages[number].synchronised
+        and not context.job.stages[number].is_way
+        and not isinstance(step, MessageStep | SignalStep | WaitStep)
+    ]
+    return (synchronised[0], synchronised[-1]) if synchronised else (0, 0)
+
+
+def wire_issue(
+    context: Context,
+    wire: Wire,
+    code: str,
+    message: str,
+    k: int,
+    value: float | None = None,
+    limit: float = 0.0,
+    unit: str = "",
+) -> Issue:
+    """An issue of a wire at its station ``k``, with what was got and allowed where ``value`` is given."""
+    measure = None if value is None else (value, limit, unit)
+    return at_sample(code, message, context.motion, wire.arms[0], int(wire.sample[k]), measure)
+
+
+@rule("verify.signals")
+def signals(context: Context) -> Outcome:
+    """Only the signals of wires, spindles, knives, torches and clamps that sink are switched, to 0 or 1, at
+    once, by one task of a controller between two synchronisation points, and are off before anybody is asked
+    or an arm moves."""
+    issues: list[Issue] = []
+    known = {claim.signal.lower() for claim in context.contacts}
+    known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder | TrimsSheet)}
+    known.discard("")  # of a knife that is dragged
+    known.add(context.problem.cell.controller.wire_signal.lower())
+    issues += _left_on(context, known)
+    runs = {task.name: tasks for tasks in controllers(context.problem, context.job.tasks) for task in tasks}
+    for stage in context.job.stages:
+        switches: dict[str, TaskText] = {}  # of each controller, by its first task
+        for task in context.job.tasks:
+            for step in stage.steps[task.name]:
+                if not isinstance(step, SignalStep):
+                    continue
+                faults = []
+                if step.signal.lower() not in known:
+                    faults.append(
+                        f"{step.signal} is no signal of a wire, a spindle, a knife, a clamp or a torch"
+                    )
+                if step.value not in (0.0, 1.0):
+                    faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
+                if step.delay:
+                    faults.append(f"{step.signal} is switched {step.delay:g} s later")
+                first = switches.setdefault(runs[task.name][0].name, task)
+                if first is not task:
+                    faults.append(f"{first.name} switches a signal between the same synchronisation points")
+                issues += [at_step("verify.signals", fault, task, step) for fault in faults]
+    for task in context.job.tasks:
+        issues += [
+            Issue(
+                "verify.signals",
+                f"{data.name} hides a signal of the controller",
+                file=task.name,
+                line=data.line,
+            )
+            for module in task.modules
+            for data in module.data
+            if data.kind.startswith("signal")
+        ]
+    return Outcome(tuple(issues))
+
+
+def _left_on(context: Context, known: set[str]) -> list[Issue]:
+    """Power that a program before this one may have left on, when a task asks or moves at first."""
+    issues = []
+    for task in context.job.tasks:
+        off: set[str] = set()
+        first: Step | None = None
+        for step in task.steps:
+            if isinstance(step, MoveStep) or (isinstance(step, MessageStep) and step.confirm):
+                first = first or step
+            elif isinstance(step, SignalStep) and step.signal.lower() in known:
+                name = step.signal.lower()
+                if name not in off and (first is not None or step.value):
+                    what = f"{step.signal} is not switched off first; a run before this may have left it on"
+                    issues.append(at_step("verify.signals", what, task, step))
+                off.add(name)
+    return issues
+
+
+@rule("verify.wire_power", ContactOnlyIn)
+def wire_power(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """The power is on and the wire hot before it touches the block, on until it has left, and off when hands
+    are near it."""
+    issues: list[Issue] = []
+    for wire in wires:
+        for claim in context.setup_claims[wire.setup].contacts:
+            issues += _power_in_contact(context, wire, claim.signal, claim.heat_up)
+            if wire.phase is not None:
+                issues += _power_at_hands(context, wire.phase, claim.signal)
+    for signal in sorted({claim.signal for claim in context.contacts}):
+        issues += _power_elsewhere(context, signal)
+    return Outcome(tuple(issues), nothing="" if wires else "no wire")
+
+
+def _switching(context: Context, wire: Wire, signal: str) -> list[tuple[float, float]]:
+    """Times and values of a wire's signal in order; off at first."""
+    return [(-np.inf, 0.0), *context.motion.switched(signal, context.switching(wire.arms))]
+
+
+def _power_in_contact(context: Context, wire: Wire, signal: str, heat_up: float) -> list[Issue]:
+    touching = np.flatnonzero(wire.depth > 0.0)
+    if not len(touching):
+        return []
+    issues = []
+    switching = _switching(context, wire, signal)
+    for run in np.split(touching, np.flatnonzero(np.diff(touching) > 1) + 1):
+        first, last = context.motion.time[wire.sample[run[[0, -1]]]]
+        before = [(time, value) for time, value in switching if time <= first]
+        on = next((i for i in range(len(before), 0, -1) if not before[i - 1][1]), 0)
+        if on == len(before):
+            what = f"{signal} is not on when the wire touches the block"
+            issues.append(wire_issue(context, wire, "verify.wire_power", what, int(run[0])))
+        elif first - before[on][0] < heat_up - 1e-6:
+            hot = float(first - before[on][0])
+            what = f"the wire touches the block {hot:.1f} s after {signal} is on; it needs {heat_up:g} s"
+            issues.append(
+                wire_issue(context, wire, "verify.wire_power", what, int(run[0]), hot, heat_up, "s")
+            )
+        if any(not value and first < time < last for time, value in switching):
+            what = f"{signal} goes off while the wire is in the block"
+            issues.append(wire_issue(context, wire, "verify.wire_power", what, int(run[-1])))
+    return issues
+
+
+def _power_at_hands(context: Context, phase: Phase, signal: str) -> list[Issue]:
+    """Off at the first confirmation (mounting) and the last one (taking off), and heated up by waiting, not
+    by moving."""
+    issues = []
+    steps = context.mounted_steps(phase)
+    confirms = context.confirms(phase)
+    state: list[float] = []
+    value = 0.0
+    for _, _, step in steps:
+        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower():
+            value = step.value
+        state.append(value)
+    if confirms:
+        first, last = moving(context, phase)
+        if state[confirms[0]] and confirms[0] < first:
+            issues.append(Issue("verify.wire_power", f"{signal} is on when the operator mounts the wire"))
+        if any(state[i] and first < i < last for i in confirms):
+            what = f"{signal} is on while the operator is asked something on the way"
+            issues.append(Issue("verify.wire_power", what, hint="ask before the arms move, or switch it off"))
+        if state[confirms[-1]] and confirms[-1] > last:
+            issues.append(Issue("verify.wire_power", f"{signal} is on when the operator takes the wire off"))
+    if value:
+        issues.append(Issue("verify.wire_power", f"{signal} is still on when the arms move alone again"))
+    return issues
+
+
+def _power_elsewhere(context: Context, signal: str) -> list[Issue]:
+    """Off at every question that is no part of mounting a bent wire, and at the end of the job."""
+    issues = []
+    mounted = {number for phase in context.phases for number in range(phase.first, phase.last + 1)}
+    value = 0.0
+    for number, task, step in _all_steps(context):
+        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower():
+            value = step.value
+        if isinstance(step, MessageStep) and step.confirm and value and number not in mounted:
+            what = f"{signal} is on while the operator is asked something"
+            issues.append(at_step("verify.wire_power", what, task, step, "switch it off first"))
+    if value:
+        issues.append(Issue("verify.wire_power", f"{signal} is on when the programs end"))
+    return issues
+
+
+def _all_steps(context: Context) -> Iterator[tuple[int, TaskText, Step]]:
+    """Steps of all tasks, stage by stage; within a stage only one task switches."""
+    for number, stage in enumerate(context.job.stages):
+        for task in context.job.tasks:
+            yield from ((number, task, step) for step in stage.steps[task.name])

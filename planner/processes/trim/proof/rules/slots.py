@@ -1,0 +1,678 @@
+"""Rules on trimmed sheets: what is cut and what stays, a torch and its arc, order, feed and room.
+
+verify.trim_cut: each outline is cut, closed but for its joints, by a knife through both faces.
+verify.trim_kept: nothing is cut off the part. verify.trim_torch: stand-off and lean. verify.trim_arc:
+when it burns. verify.trim_order, trim_feed, trim_clear.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Collection, Iterator, Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.claims.vocabulary import Segment
+from planner.geometry.arrays import BoolArray, FloatArray
+from planner.issues import Issue
+from planner.processes.trim.claims import TrimBlade, TrimsSheet, slot_names
+from planner.processes.trim.proof.blade_motion import CORNER_ERROR, blade_way, sharp
+from planner.processes.trim.proof.outlines import TRIM, Curve, winding
+from planner.processes.trim.proof.torch_motion import (
+    PLACE_ERROR,
+    PLACE_STEP,
+    STANDING,
+    Trimming,
+    TrimWork,
+    Way,
+    begins,
+    longest_stay,
+    off_sheet,
+)
+from planner.programs.job import TaskText
+from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
+from planner.programs.text import segment_of_name
+from planner.tooling import Knife, Mill, Torch
+from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
+from planner.verify.files import UnreadError
+
+NOTHING_TRIMMED = "nothing is trimmed"
+"""Why rules about trimming have not run."""
+ANGLE_ERROR = np.deg2rad(0.5)
+"""What facets of a mesh may turn its normals by [rad]."""
+LEAST_FAR = 0.2e-3
+"""A thread that watches a torch may take one that gets farther than this [m] for one that moves."""
+AVERAGE_SLACK = 0.95
+"""Share of the least average feed that is accepted, as ramps of the replay are those of no controller."""
+SAME_PLACE = 1e-9
+"""Places along a curve that are nearer [m] are one."""
+FILLED_SHARE = 0.5
+"""Places of a knife's cut are no farther apart than this part of what it may be off."""
+LEAST_JOINT = 0.5
+"""Share of its width that a micro-joint has at least."""
+LINGER = 3.0
+"""On a short stretch a torch may take so many times as long as at its least average feed,"""
+LINGER_TIME = 0.5
+"""and so much longer [s], as it stops at corners."""
+LINGER_KERFS = 3.0
+"""Such a stretch is as long as a slot is wide, so many times,"""
+LEAST_STRETCH = 3e-3
+"""and so long [m] at least."""
+GOING_DOWN = 2.0
+"""A mill that is higher by more than so many tolerances is still on its way down."""
+SLOPE_DOWN = 0.1
+"""and so is one that gets deeper by more than this share of its way."""
+CLEAR_SHARE = 0.1
+"""How much less than the wanted room is accepted between targets, as a share of it."""
+WAIT_ROUNDING = 0.001
+"""Times are written with three decimals [s]."""
+ISSUES_SHOWN = 20
+"""Issues of one slot at most."""
+
+
+@rule("verify.trim_cut", TrimsSheet)
+def trim_cut(context: Context, trimming: Trimming) -> Outcome:
+    """Each outline, as the proof reads it and the part once more, is cut all the way round with the slot's
+    edge within the tolerance of it, but for as many micro-joints as wanted, as wide as wanted; nothing else
+    is trimmed."""
+    issues = [*trimming.issues, *(i for i in context.unread if i.code == "verify.trim_cut")]
+    issues += _unclaimed(context, trimming)
+    worst, limit, where = -np.inf, None, ""
+    for work in trimming.works:
+        for curve in work.curves:
+            ways = [way for way in work.ways(curve).values() if way is not None]
+            if len(ways) < len(work.ways(curve)) or not ways:
+                what = (
+                    f"{curve.one.name} is not cut" if not ways else f"a slot of {curve.one.name} is not cut"
+                )
+                issues.append(Issue("verify.trim_cut", what, field=curve.one.name))
+                continue
+            if work.claim.knife is not None:
+                left, found = _sliced(work, curve, work.claim.knife)
+            else:
+                left, found = _closed(work, curve, ways)
+            issues += found
+            if left > worst:
+                worst, limit, where = left, mm(work.claim.tolerance + work.sheet.tolerance), curve.one.name
+    if limit is None:
+        return Outcome(tuple(issues), nothing="" if issues else NOTHING_TRIMMED)
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+
+
+def _sliced(work: TrimWork, curve: Curve, own: TrimBlade) -> tuple[float, list[Issue]]:
+    """The same of a knife, at both faces of the sheet. Past the end of a cut it goes on at the near face by
+    what its edge slants within the sheet, and may by as much at the joints."""
+    slant = float(own.blade.front(work.claim.thickness + own.below) - own.blade.front(own.below))
+    worst, issues = 0.0, list[Issue]()
+    for far in (True, False):
+        cuts = [getattr(blade_way(work, own, key), "far" if far else "near") for key in work.ways(curve)]
+        ways = [way for cut in cuts for way in cut.ways]
+        if not ways:
+            what = f"the knife is nowhere through the sheet along {curve.one.name}"
+            return worst, [Issue("verify.trim_cut", what, field=curve.one.name)]
+        left, found = _closed(work, curve, ways, slant if far else 0.0)
+        worst, issues = max(worst, left), found
+        if found:
+            side = "at the far face of the sheet" if far else "at its near face"
+            issues = [dataclasses.replace(one, message=f"{one.message} ({side})") for one in found]
+            break
+    return worst, issues
+
+
+def _closed(work: TrimWork, curve: Curve, ways: list[Way], wider: float = 0.0) -> tuple[float, list[Issue]]:
+    """How far [m] the slot's edge is off the outline where it is cut, and what is wrong with its joints,
+    which may be ``wider`` [m] than wanted."""
+    claim, one, half = work.claim, curve.one, 0.5 * work.claim.kerf
+    near = work.near
+    foot = np.concatenate([way.feet.foot for way in ways])
+    off, at = (np.concatenate([getattr(way, name) for way in ways]) for name in ("off", "at"))
+    on = np.abs(off - half) <= near
+    apart = np.asarray(cKDTree(_filled(ways, half, near)).query(curve.ring)[0]) - half
+    if not on.any():
+        what = f"the slot is nowhere within {mm(claim.tolerance):g} mm of {one.name}, on the side that "
+        what += "drops; the "
+        what += f"nearest place of it is {mm(float(np.abs(off - half).min())):.2f} mm off"
+        left = float(np.abs(apart[apart <= near]).max(initial=0.0))
+        return left, [Issue("verify.trim_cut", what, field=one.name)]
+    issues = []
+    gaps = []
+    held = np.zeros(len(curve.ring), dtype=bool)
+    for first, last in uncut(curve, ways, half, near):
+        before = foot[on][int(np.argmin((first + SAME_PLACE - at[on]) % curve.length))]
+        behind = foot[on][int(np.argmin((at[on] - last + SAME_PLACE) % curve.length))]
+        width = float(np.linalg.norm(behind - before)) - 2.0 * half
+        if width > PLACE_ERROR:  # else its round ends meet
+            gaps.append((first, last, width))
+            held |= (curve.along - first) % curve.length < last - first
+    bare = _runs((apart > near) & ~held)
+    left = float(np.abs(apart[(apart <= near) & ~held]).max(initial=0.0))
+    if bare or len(gaps) != one.joints:
+        count = len(gaps) + len(bare)
+        what = f"{one.name} is left uncut in {count} places, wanted: {one.joints}"
+        if count:
+            x, y, _ = curve.place(gaps[0][0] if gaps else float(curve.along[bare[0][0]])) / 1e-3
+            what += f"; the first is at ({x:.1f}, {y:.1f}) mm"
+        measure = {"value": float(count), "limit": float(one.joints)}
+        issues.append(Issue("verify.trim_cut", what, field=one.name, **measure))  # type: ignore[arg-type]
+    for first, last, width in gaps if one.joints else ():
+        x, y, _ = curve.place(first) / 1e-3
+        said = f"the micro-joint of {one.name} at ({x:.1f}, {y:.1f}) mm"
+        if not one.width - near <= width <= one.width + near + wider or width < LEAST_JOINT * one.width:
+            what = f"{said} is {mm(width):.2f} mm wide; wanted: {mm(one.width):g} mm within "
+            what += f"{mm(claim.tolerance):g}"
+            issues.append(
+                Issue("verify.trim_cut", what, field=one.name, value=mm(width), limit=mm(one.width))
+            )
+        if any(_passes(curve, way, first, last) for way in ways):
+            what = f"{said} is cut off behind, in what drops, so that it holds nothing"
+            issues.append(Issue("verify.trim_cut", what, field=one.name))
+    return left, issues
+
+
+def _filled(ways: list[Way], half: float, near: float) -> FloatArray:
+    """The feet (M, 3) of ways; of a knife's, which have no width, with places between them, so that these do
+    not seem to be off the curve that lie between two."""
+    if half > 0.0:
+        return np.concatenate([way.feet.foot for way in ways])
+    out = []
+    for way in ways:
+        foot = way.feet.foot
+        size = np.linalg.norm(np.diff(foot, axis=0), axis=1)
+        count = np.where(size < 3.0 * PLACE_STEP, np.ceil(size / (FILLED_SHARE * near)), 1).astype(np.int64)
+        row = np.repeat(np.arange(len(size)), np.maximum(count, 1))
+        share = (np.arange(len(row)) - np.searchsorted(row, row)) / np.maximum(count, 1)[row]
+        out += [foot[row] + share[:, None] * np.diff(foot, axis=0)[row], foot[-1:]]
+    return np.concatenate(out)
+
+
+def uncut(curve: Curve, ways: list[Way], half: float, near: float) -> list[tuple[float, float]]:
+    """From where to where [m] along a closed curve no slot is ``half`` its width within ``near`` [m] off it.
+    Between two places next to each other it goes on, also across an inner corner."""
+    jump = 2.0 * np.sqrt((half + near) ** 2 - half**2) + 4.0 * PLACE_STEP
+    begin, size = [np.zeros(0)], [np.zeros(0)]
+    for way in ways:
+        on = np.abs(way.off - half) <= near
+        step = (np.diff(way.at) + 0.5 * curve.length) % curve.length - 0.5 * curve.length
+        goes_on = np.linalg.norm(np.diff(way.feet.foot, axis=0), axis=1) < 3.0 * PLACE_STEP
+        step = np.append(np.where(on[1:] & goes_on & (np.abs(step) <= jump), step, 0.0), 0.0)[on]
+        begin.append((way.at[on] + np.minimum(step, 0.0)) % curve.length)
+        size.append(np.abs(step))
+    order = np.argsort(np.concatenate(begin), kind="stable")
+    low, high = np.concatenate(begin)[order], (np.concatenate(begin) + np.concatenate(size))[order]
+    if not len(low):
+        return [(0.0, curve.length)]
+    # three times round, of which the second one has all that goes over the end
+    turns = curve.length * np.arange(3)[:, None]
+    low, high = (low + turns).ravel(), np.maximum.accumulate((high + turns).ravel())
+    ends = (high[:-1] >= curve.length) & (high[:-1] < 2.0 * curve.length) & (low[1:] > high[:-1] + SAME_PLACE)
+    return [(float(a), float(b)) for a, b in zip(high[:-1][ends], low[1:][ends], strict=True)]
+
+
+def _passes(curve: Curve, way: Way, first: float, last: float) -> bool:
+    """Whether a slot goes past the middle of a joint from ``first`` to ``last`` [m] along its curve, however
+    far off."""
+    beside = (way.at - 0.5 * (first + last) + 0.5 * curve.length) % curve.length - 0.5 * curve.length
+    there = np.abs(beside) < max(0.5 * (last - first), 2.0 * PLACE_STEP)
+    return bool((there[1:] & there[:-1] & (beside[1:] * beside[:-1] <= 0.0)).any())
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """First and last places of runs of a closed row of flags."""
+    rows = np.flatnonzero(flags)
+    if not len(rows):
+        return []
+    groups = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    if len(groups) > 1 and groups[0][0] == 0 and groups[-1][-1] == len(flags) - 1:
+        groups = [np.concatenate([groups[-1], groups[0]]), *groups[1:-1]]
+    return [(int(group[0]), int(group[-1])) for group in groups]
+
+
+def _unclaimed(context: Context, trimming: Trimming) -> Iterator[Issue]:
+    """Segments that trim, of which nothing is claimed."""
+    known = {
+        Segment(TRIM, name).key
+        for work in trimming.works
+        for curve in work.curves
+        for name in slot_names(work.claim, curve.one)
+    }
+    motion = context.motion
+    for segment in dict.fromkeys(motion.node_segment):
+        if segment.kind == TRIM and segment.at("").key not in known:
+            what = f"the programs trim in {segment}, of which the problem claims nothing"
+            yield Issue("verify.trim_cut", what, field=str(segment))
+
+
+@rule("verify.trim_kept", TrimsSheet)
+def trim_kept(context: Context, trimming: Trimming) -> Outcome:
+    """What must stay stays: the slot of a tool, with its pierce point and its ways in and out, lies in what
+    its outline lets drop, and reaches no farther over the outline than the tolerance, of a knife also past
+    sharp corners by what is stated."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    for work, curve, key, way in every(trimming):
+        near = work.near
+        if work.claim.knife is not None:
+            over, some = _sliced_off(context, work, curve, work.claim.knife, key)
+            issues += some
+            if over > worst:
+                worst, limit, where = over, mm(near), key
+            continue
+        deep = 0.5 * work.claim.kerf - way.off
+        if float(deep.max()) > worst:
+            worst, limit, where = float(deep.max()), mm(near), key
+        bad = np.flatnonzero(deep > near)
+        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+            x, y, z = way.feet.foot[i] / 1e-3
+            what = f"in {key} the slot is {mm(float(deep[i])):.2f} mm in the part, over {curve.one.name}, at "
+            what += f"({x:.1f}, {y:.1f}, {z:.1f}) mm; allowed: {mm(near):.2f} mm"
+            measure = (mm(float(deep[i])), mm(near), "mm")
+            row = int(way.rows[i])
+            issues.append(at_sample("verify.trim_kept", what, context.motion, work.claim.arm, row, measure))
+    if limit is None:
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+
+
+def _sliced_off(
+    context: Context, work: TrimWork, curve: Curve, own: TrimBlade, key: str
+) -> tuple[float, list[Issue]]:
+    """How far [m] a blade is in the part beside its curve, and where by more than the tolerance; past sharp
+    corners it may by what is stated of them."""
+    near, blade = work.near, blade_way(work, own, key)
+    ends = sharp(work, curve, own.turns - CORNER_ERROR - work.sheet.turn)
+    worst, out = 0.0, list[Issue]()
+    for cut, face in ((blade.near, "near"), (blade.far, "far")):
+        deep = np.maximum(-cut.off, 0.0)
+        past = ends.past(cut.foot, near)
+        deep[past <= own.overcut + near] = 0.0
+        worst = max(worst, float(deep.max(initial=0.0)))
+        bad = np.flatnonzero(deep > near)
+        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+            x, y, z = cut.foot[i] / 1e-3
+            what = f"in {key} the blade is {mm(float(deep[i])):.2f} mm in the part, over {curve.one.name}, "
+            what += f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm of the {face} face; allowed: {mm(near):.2f} mm"
+            if np.isfinite(past[i]):
+                what += f", and straight on past a corner {mm(own.overcut):g} mm; it is "
+                what += f"{mm(float(past[i])):.2f} mm past one"
+            measure = (mm(float(deep[i])), mm(near), "mm")
+            row = int(cut.rows[i])
+            out.append(at_sample("verify.trim_kept", what, context.motion, work.claim.arm, row, measure))
+    return worst, out
+
+
+@rule("verify.trim_torch", TrimsSheet)
+def trim_torch(context: Context, trimming: Trimming) -> Outcome:
+    """While it cuts the nozzle is off the sheet by its stand-off within the tolerance, no higher than its
+    pierce height where it leads in, and the torch leans off the sheet's normal no farther than its cone."""
+    issues: list[Issue] = []
+    worst, where = 0.0, ""
+    for work, _, key, way in every(trimming):
+        claim, torch = work.claim, work.claim.torch
+        if torch is None:
+            continue
+        near = claim.height + work.sheet.tolerance
+        lift = max(claim.pierce_height - torch.standoff, 0.0)
+        drop = min(claim.pierce_height - torch.standoff, 0.0)
+        leads = way.off > 0.5 * claim.kerf + work.near
+        high = near + PLACE_ERROR + np.where(leads, lift, 0.0)
+        low = -near - PLACE_ERROR + np.where(leads, drop, 0.0)
+        lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
+        share = np.maximum(way.feet.height / high, way.feet.height / low)
+        turned = lean / (claim.cone + ANGLE_ERROR + work.sheet.turn)
+        pierced = abs(float(way.feet.height[0]) - (claim.pierce_height - torch.standoff)) / near
+        for rate, kind in ((share, "height"), (turned, "lean"), (np.array([pierced]), "pierce")):
+            if float(rate.max()) > worst:
+                worst, where = float(rate.max()), f"{kind} in {key}"
+            bad = np.flatnonzero(rate > 1.0)
+            for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+                nozzle = mm(float(way.feet.height[i]) + torch.standoff)
+                said = {
+                    "height": f"the nozzle is {nozzle:.2f} mm off the sheet; wanted: "
+                    f"{mm(torch.standoff):g} mm within {mm(claim.height):g}",
+                    "lean": f"the torch leans {np.rad2deg(lean[i]):.1f} deg off the sheet's normal; allowed: "
+                    f"{np.rad2deg(claim.cone):g} deg",
+                    "pierce": f"the sheet is pierced from {nozzle:.2f} mm; wanted: "
+                    f"{mm(claim.pierce_height):g} mm within {mm(claim.height):g}",
+                }[kind]
+                row = int(way.rows[i])
+                issues.append(
+                    at_sample("verify.trim_torch", f"in {key} {said}", context.motion, claim.arm, row)
+                )
+    if not where:
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
+
+
+@rule("verify.trim_arc", TrimsSheet)
+def trim_arc(context: Context, trimming: Trimming) -> Outcome:
+    """The arc starts with the torch at rest in the waste, far enough off all curves, and the program then
+    waits for it, no longer than it may; it burns all along its slot and nowhere else. A program of UR watches
+    all along that it does, and ends where it does not, or the torch stands."""
+    issues: list[Issue] = []
+    count = 0
+    torches = [work for work in trimming.works if work.claim.torch is not None]
+    for work in torches:
+        claim, motion = work.claim, context.motion
+        others = {key for other in torches if other is not work for key in other.slots} - set(work.slots)
+        issues += [*_waits(context, work, others), *_guarded(context, work, others)]
+        track, burning = work.track, work.burning
+        for begin, end in zip(burning.begin, burning.end, strict=True):
+            moved, start = _under_way(work, begin, end)
+            if not (moved & np.isin(track.label, list(work.slots))).any() and any(
+                np.isin(other.track.label[_under_way(other, begin, end)[0]], list(other.slots)).any()
+                for other in torches
+            ):
+                continue  # another operation cuts with it
+            stray = np.flatnonzero(moved & ~np.isin(track.label, list(work.slots)))
+            for i in stray[:1]:
+                what = f"{claim.signal} is on in {track.label[i]}, where nothing is cut"
+                issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(track.rows[i])))
+            issues += _pierced(context, work, track.tip[start], int(track.rows[start]), begin)
+        for key in work.slots:
+            own = work.of_slot(key)
+            if len(own.time) < 2:
+                continue
+            count += 1
+            # a torch may stand at the slot's ends, for the arc and for the other arm, longer than it burns
+            ends = [np.linalg.norm(own.tip - own.tip[k], axis=1) > STANDING for k in (0, -1)]
+            dark = np.flatnonzero(~burning.at(own.time) & ends[0] & ends[1])
+            for i in dark[:1]:
+                what = f"{claim.signal} is off in {key}: nothing is cut there"
+                issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
+    return Outcome(tuple(issues), where=f"{count} slots", nothing="" if torches else NOTHING_TRIMMED)
+
+
+def _under_way(work: TrimWork, begin: float, end: float) -> tuple[BoolArray, int]:
+    """Rows (T,) of a torch's track in a time [s], but for those where it still stands, and the one from which
+    that is."""
+    track = work.track
+    inside = (track.time > begin + 1e-6) & (track.time < end - 1e-6)
+    start = min(int(np.searchsorted(track.time, begin, side="right")), len(track.time)) - 1
+    return inside & (np.linalg.norm(track.tip - track.tip[start], axis=1) > STANDING), start
+
+
+def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin: float) -> Iterator[Issue]:
+    """Where the arc starts: in the waste of some outline, off all curves; and for how long it stands."""
+    claim, motion = work.claim, context.motion
+    foot = work.sheet.feet(tip[None]).foot
+    off = np.array([float(curve.off(foot)[0][0]) for curve in work.curves])
+    waste = any(bool(curve.in_waste(foot)[0]) for curve in work.curves)
+    least = claim.pierce_off - work.sheet.tolerance - PLACE_ERROR
+    if not waste or off.min() < least:
+        what = f"the arc starts {'in the part, ' if not waste else ''}{mm(float(off.min())):.2f} mm off "
+        what += f"{work.curves[int(off.argmin())].one.name}; wanted: in the waste, "
+        what += f"{mm(claim.pierce_off):g} mm off"
+        yield at_sample("verify.trim_arc", what, motion, claim.arm, row)
+    moving = np.flatnonzero(
+        (work.track.time > begin) & (np.linalg.norm(work.track.tip - tip, axis=1) > STANDING)
+    )
+    stood = float(work.track.time[moving[0]]) - begin if len(moving) else 0.0
+    if stood < claim.pierce_seconds - WAIT_ROUNDING:
+        what = (
+            f"the torch moves {stood:.3f} s after {claim.signal} goes on; wanted: {claim.pierce_seconds:g} s"
+        )
+        yield at_sample("verify.trim_arc", what, motion, claim.arm, row)
+
+
+def _waits(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
+    """Whether the program waits for the arc between its start and the next move, as the text has it; no
+    other program can, that starts it. ``others``: slots of other operations, which have their own waits."""
+    claim = work.claim
+    if claim.ok_signal is None:
+        return
+    for task in context.job.tasks:
+        if task.arm.name != claim.arm:
+            if task.name in context.switching((claim.arm,)):
+                lit = (s for s in task.steps if isinstance(s, SignalStep) and s.value)
+                yield from (
+                    _unwaited(task, s, claim) for s in lit if s.signal.lower() == claim.signal.lower()
+                )
+            continue
+        started: Step | None = None
+        waited = False
+        for step in task.steps:
+            if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
+                started, waited = step if step.value else None, False
+            elif isinstance(step, WaitStep):
+                waited |= _is_ok(step, claim)
+            elif isinstance(step, MoveStep) and started is not None:
+                if not waited and _slot(step) not in others:
+                    yield _unwaited(task, started, claim)
+                started = None
+
+
+def _slot(move: MoveStep) -> str:
+    """The key of a move's segment."""
+    return segment_of_name(move.procedure).key
+
+
+def _is_ok(step: WaitStep, claim: TrimsSheet) -> bool:
+    return (
+        step.signal.lower() == (claim.ok_signal or "").lower()
+        and step.value == 1.0
+        and not step.flag
+        and not step.again
+        and step.seconds is not None
+        and step.seconds <= claim.timeout + WAIT_ROUNDING
+    )
+
+
+def _unwaited(task: TaskText, step: Step, claim: TrimsSheet) -> Issue:
+    what = (
+        f"behind {claim.signal} the torch moves without a wait for {claim.ok_signal} of {claim.timeout:g} s "
+    )
+    return at_step("verify.trim_arc", what + "at most, which breaks off where no arc burns", task, step)
+
+
+def _guarded(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
+    """Whether a URScript program, which goes on in the slot behind a pause, watches its torch wherever that
+    moves: output and input, and that it does not stand for longer than a torch may take, but for as long as
+    it does. ``others`` as :func:`_waits` has it."""
+    claim = work.claim
+    for task in context.job.tasks:
+        if task.script is None or task.arm.name != claim.arm:
+            continue
+        lit: Step | None = None
+        guard: GuardStep | None = None
+        for step in task.steps:
+            if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
+                lit, guard = step if step.value else None, None
+            elif isinstance(step, GuardStep):
+                guard = step if step.on else None
+            elif isinstance(step, MoveStep) and lit is not None and _slot(step) not in others:
+                yield from _watched(task, lit, guard, work)
+                lit = None
+
+
+def _watched(task: TaskText, lit: Step, guard: GuardStep | None, work: TrimWork) -> Iterator[Issue]:
+    """What is wrong with what watches a torch that moves, from where it was ``lit`` on."""
+    claim = work.claim
+    signals = claim.signal.lower(), (claim.ok_signal or "").lower()
+    if guard is None or (guard.signal.lower(), guard.given.lower()) != signals:
+        what = (
+            f"the torch moves with {claim.signal} on, and nothing watches that it burns: behind a pause the "
+        )
+        yield at_step("verify.trim_arc", what + "program would go on in the slot", task, lit)
+        return
+    stretch = max(LINGER_KERFS * claim.kerf, LEAST_STRETCH)
+    most = LINGER * stretch / (claim.least_feed * claim.feed) + LINGER_TIME
+    stays = max((longest_stay(work.of_slot(key), guard.far) for key in work.slots), default=0.0)
+    if not stays < guard.stood <= most or guard.far < LEAST_FAR:
+        what = (
+            f"the program ends where the torch is within {mm(guard.far):g} mm for {guard.stood:g} s; wanted: "
+        )
+        what += f"{mm(LEAST_FAR):g} mm or more, and over {stays:.2f} s, to {most:.2f} s"
+        yield at_step("verify.trim_arc", what, task, guard)
+
+
+@rule("verify.trim_order", TrimsSheet)
+def trim_order(context: Context, trimming: Trimming) -> Outcome:
+    """An outline that lies in another one is wholly cut before that is begun, which would let it move."""
+    issues: list[Issue] = []
+    pairs = 0
+    for work in trimming.works:
+        spans: list[tuple[float, float]] = []
+        for curve in work.curves:
+            tracks = [work.of_slot(key) for key in work.ways(curve)]
+            times = np.concatenate([track.time for track in tracks if len(track.time)] or [np.zeros(0)])
+            spans.append((float(times.min()), float(times.max())) if len(times) else (np.inf, -np.inf))
+        for (a, inner), (b, outer) in itertools.permutations(enumerate(work.curves), 2):
+            if not bool(winding(outer.flat, inner.flat[:1])[0]):
+                continue
+            pairs += 1
+            if spans[a][1] > spans[b][0]:
+                what = f"{outer.one.name} is begun before {inner.one.name}, which lies in it, is cut"
+                issues.append(Issue("verify.trim_order", what, field=outer.one.name, arm=work.claim.arm))
+    return Outcome(
+        tuple(issues), where=f"{pairs} within others", nothing="" if pairs else "no outline within another"
+    )
+
+
+@rule("verify.trim_feed", TrimsSheet)
+def trim_feed(context: Context, trimming: Trimming) -> Outcome:
+    """While it cuts the tool goes no faster than its feed over the cosine of the wall's angle, by the
+    thickness that the sine law leaves there, and on average, but for a knife, no slower than the wanted share
+    of that; a torch is nowhere much slower, where it would burn away more than its slot."""
+    issues: list[Issue] = []
+    worst, where = 0.0, ""
+    for work, _, key, _way in every(trimming):
+        claim, track = work.claim, work.of_slot(key)
+        time, length = np.diff(track.time), np.linalg.norm(np.diff(track.tip, axis=0), axis=1)
+        time, length = time[track.joined], length[track.joined]
+        feet, deep = work.feet(track.tip, track.axis)
+        wall = np.maximum(np.abs(feet.normal[:, 2]), 0.05)
+        limit = np.minimum(claim.feed / wall, claim.feed_most)
+        there = np.maximum(limit[:-1], limit[1:])[track.joined]
+        speed = length / np.maximum(time, 1e-6)
+        share = speed / there
+        if float(share.max()) > worst:
+            worst, where = float(share.max()), key
+        rows = track.rows[1:][track.joined]
+        bad = np.flatnonzero(share > FEED_SLACK)
+        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+            what = f"the tool cuts at {mm(float(speed[i])):.2f} mm/s in {key}; allowed there: "
+            what += f"{mm(float(there[i])):.2f}"
+            measure = (mm(float(speed[i])), mm(float(there[i])), "mm/s")
+            issues.append(
+                at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[i]), measure)
+            )
+        if claim.torch is not None:
+            issues += _lingers(context, work, key)
+        if claim.knife is not None:  # which may be as slow as it likes
+            continue
+        if claim.mill is not None:  # on its way down another feed counts
+            least = claim.thickness + claim.mill.below - GOING_DOWN * claim.height
+            low = (deep[1:] >= least)[track.joined] & (np.diff(deep)[track.joined] <= SLOPE_DOWN * length)
+            time, length, there = time[low], length[low], there[low]
+        else:  # over its pierce point it stands for as long as it takes
+            goes = (np.arange(1, len(track.time)) > begins(track))[track.joined]
+            time, length, there = time[goes], length[goes], there[goes]
+        mean = float((length / there).sum() / max(float(time.sum()), 1e-9))
+        if mean < AVERAGE_SLACK * claim.least_feed:
+            what = f"the tool cuts at {100 * mean:.0f} % of its feed in {key} on average; wanted: "
+            what += f"{100 * claim.least_feed:.0f} %"
+            issues.append(Issue("verify.trim_feed", what, field=key, value=mean, limit=claim.least_feed))
+    if not where:
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
+
+
+def _lingers(context: Context, work: TrimWork, key: str) -> Iterator[Issue]:
+    """Whether a torch, once it moves, takes too long for some short stretch of its slot."""
+    claim, track = work.claim, work.of_slot(key)
+    ends = [np.linalg.norm(track.tip - track.tip[k], axis=1) > STANDING for k in (0, -1)]
+    moved = np.flatnonzero(ends[0])
+    if not len(moved) or not ends[1].any():
+        return
+    some = slice(max(int(moved[0]) - 1, 0), int(np.flatnonzero(ends[1])[-1]) + 2)
+    time, rows = track.time[some], track.rows[some]
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(track.tip[some], axis=0), axis=1)))
+    stretch = max(LINGER_KERFS * claim.kerf, LEAST_STRETCH)
+    behind = np.minimum(np.searchsorted(along, along + stretch), len(along) - 1)
+    spent, way = time[behind] - time, along[behind] - along
+    most = LINGER * way / (claim.least_feed * claim.feed) + LINGER_TIME
+    k = int(np.argmax(spent - most))
+    if spent[k] > most[k]:
+        what = f"the torch takes {spent[k]:.2f} s for {mm(float(way[k])):.2f} mm in {key}; allowed: "
+        what += f"{most[k]:.2f} s"
+        measure = (float(spent[k]), float(most[k]), "s")
+        yield at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[k]), measure)
+
+
+@rule("verify.trim_clear", TrimsSheet)
+def trim_clear(context: Context, trimming: Trimming) -> Outcome:
+    """The tool that is mounted is the claimed one, and in slots and on the ways to them and from them no part
+    of it, of a mill or a knife none that does not cut, is nearer to the formed sheet than it may be."""
+    issues: list[Issue] = []
+    worst, limit, where = np.inf, None, ""
+    for work in trimming.works:
+        claim = work.claim
+        issues += _same_tool(context, work)
+        rows = np.flatnonzero(np.char.startswith(work.track.label.astype(str), f"{TRIM}/"))
+        if not len(rows):
+            continue
+        try:
+            off, row = off_sheet(work, rows)
+        except UnreadError as error:
+            issues.append(
+                Issue("verify.trim_clear", str(error), hint="take a smaller sheet or a coarser mesh")
+            )
+            continue
+        least = (1.0 - CLEAR_SHARE) * claim.clear - work.sheet.tolerance
+        if off < worst:
+            worst, limit, where = off, mm(least), str(work.track.label[row])
+        if off < least:
+            what = f"in {work.track.label[row]} the tool is {mm(off):.2f} mm off the sheet; wanted: "
+            what += f"{mm(claim.clear):g} mm"
+            measure = (mm(off), mm(least), "mm")
+            sample = int(work.track.rows[row])
+            issues.append(at_sample("verify.trim_clear", what, context.motion, claim.arm, sample, measure))
+    if limit is None:
+        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+
+
+TORCH_SIZES = ("standoff", "kerf", "nozzle", "cone", "body", "back")
+"""What of a torch counts,"""
+CUTTER_SIZES = ("radius", "corner", "flute", "overhang", "shank", "behind")
+"""what of a mill's cutter,"""
+BLADE_SIZES = ("thickness", "width", "end", "ground", "length")
+"""and what of a knife's blade."""
+
+
+def _same_tool(context: Context, work: TrimWork) -> Iterator[Issue]:
+    """Whether the tool on the arm is the claimed one, and cuts as wide as is claimed."""
+    claim, tool = work.claim, context.setups[work.index].cell.arm(work.claim.arm).tool
+    same = False
+    if claim.mill is not None and isinstance(tool, Mill):
+        said = claim.mill.cutter
+        same = _alike(tool.cutter, said, CUTTER_SIZES) and abs(claim.kerf - 2.0 * said.radius) < SAME_SIZE
+    elif claim.knife is not None and isinstance(tool, Knife):
+        same = _alike(tool.blade, claim.knife.blade, BLADE_SIZES) and claim.kerf == 0.0
+        same = same and _alike(tool, claim.knife, ("body", "back"))
+    elif claim.torch is not None and isinstance(tool, Torch):
+        same = _alike(tool, claim.torch, TORCH_SIZES) and abs(claim.kerf - claim.torch.kerf) < SAME_SIZE
+    if not same:
+        what = f"the tool of {claim.arm} in setup {work.index + 1} is another one than the claimed"
+        yield Issue("verify.trim_clear", what, arm=claim.arm)
+
+
+SAME_SIZE = 1e-9
+"""Sizes that differ by less [m] are the same."""
+
+
+def _alike(one: object, other: object, sizes: Sequence[str]) -> bool:
+    """Whether both have the same sizes."""
+    pairs = ([np.asarray(getattr(tool, name), dtype=np.float64) for tool in (one, other)] for name in sizes)
+    return all(a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_SIZE)) for a, b in pairs)
+
+
+def every(trimming: Trimming) -> Iterator[tuple[TrimWork, Curve, str, Way]]:
+    """All slots that are cut."""
+    for work in trimming.works:
+        for curve in work.curves:
+            for key, way in work.ways(curve).items():
+                if way is not None:
+                    yield work, curve, key, way

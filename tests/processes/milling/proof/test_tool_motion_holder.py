@@ -1,0 +1,108 @@
+"""The rule on gouges beside a holder that leans: a flat nose that its middles do not tell of."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.claims.claim import SparesPart
+from planner.claims.vocabulary import Segment
+from planner.processes.milling.proof.rules.cutter import _GOUGE_SPACING, _held, _insides, _step, mill_gouge
+from planner.processes.milling.proof.tool_motion import BEND_SHARE, Milling, Track, insides, signed, solids
+from planner.runtime.executor import SERIAL
+from planner.tooling import Cutter
+
+BEHIND = np.array([[0.06, 0.06], [0.1, 0.06], [0.1, 0.03], [0.3, 0.03]])
+CUTTER = Cutter("cylinder", 0.003, 0.0, 0.02, 0.06, 0.003, BEHIND)
+TOLERANCE = 1e-4
+
+
+def _track() -> Track:
+    """A path that leans by up to 60 degrees, and turns by as much."""
+    t = np.linspace(0.0, 1.0, 140)
+    tip = np.stack([0.2 * t, 0.02 * np.sin(5.0 * t), 0.004 * np.cos(3.0 * t)], axis=1)
+    axis = np.stack([1.3 * np.sin(7.0 * t), 1.2 * np.cos(4.0 * t), np.ones_like(t)], axis=1)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    rows = np.arange(len(t))
+    node, ahead = np.zeros(len(t), dtype=np.int64), np.tile([1.0, 0.0, 0.0], (len(t), 1))
+    joined, names = np.ones(len(t) - 1, bool), np.array(["mill/wall"])
+    return Track(rows, tip, axis, joined, node, names, 0.1 * rows, ahead)
+
+
+def _spared(vertices: Any) -> SparesPart:
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    return SparesPart((Segment.read("mill/wall"),), "robot", CUTTER, vertices, faces, 0.0, TOLERANCE)
+
+
+def _milling(claim: SparesPart, track: Track) -> Any:
+    milling: Any = SimpleNamespace(
+        spared=((0, claim),),
+        executor=SERIAL,
+        track=lambda *_: track,
+        spaced=lambda *given: track.spaced(given[-2], BEND_SHARE * given[-1]),
+        mounted=lambda *_: CUTTER,
+        _places={},
+    )
+    milling.places = lambda *given: Milling.places(milling, *given)
+    return milling
+
+
+def _told(claim: SparesPart, track: Track) -> list[Any]:
+    count = len(track.rows)
+    motion: Any = SimpleNamespace(
+        node=np.arange(count),
+        node_ids=np.zeros(count, dtype=int),
+        node_line={"robot": np.arange(count) + 1},
+        node_segment=(Segment("mill", "wall"),) * count,
+        node_sample=np.arange(count),
+        time=0.1 * np.arange(count),
+    )
+    milling = _milling(claim, track)
+    context: Any = SimpleNamespace(motion=motion)
+    return list(mill_gouge(context, milling).issues)
+
+
+def test_the_flat_nose_of_a_leaning_holder_is_named() -> None:
+    """Small faces far out on the nose of the holder, whose radius is 60 mm. At the eight places where the
+    middle of the holder is nearest to them it is clear of them, at another it is more than a millimetre
+    deep."""
+    track = _track()
+    holder = solids(CUTTER)[2]
+    tip, axis, _ = track.spaced(_GOUGE_SPACING * _step(holder, TOLERANCE), BEND_SHARE * TOLERANCE)
+    rng = np.random.default_rng(5)
+    some = rng.integers(0, len(tip), 2400)
+    beside = np.cross(axis[some], rng.normal(size=(2400, 3)))
+    beside *= rng.uniform(0.0, 0.06, (2400, 1)) / np.linalg.norm(beside, axis=1, keepdims=True)
+    depth = holder.start + rng.uniform(1e-3, 3e-3, (2400, 1))
+    points = tip[some] + depth * axis[some] + beside
+    rest = points[:, None] - tip
+    back = (rest * axis).sum(axis=2)
+    off = signed(holder, back, np.linalg.norm(rest - back[..., None] * axis, axis=2))
+    near = cKDTree(tip + 0.08 * axis).query(points, k=8)[1]
+    clear = off[np.arange(len(points))[:, None], near].min(axis=1) > 5e-4
+    missed = np.flatnonzero(clear & (off.min(axis=1) < -1e-3))
+    assert len(missed) > 3
+    corner = 1e-4 * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    for i in missed[:5]:
+        told = [issue for issue in _told(_spared(points[i] + corner), track) if "holder" in issue.message]
+        assert told
+        assert {issue.code for issue in told} == {"verify.mill_gouge"}
+        deepest = max(issue.value for issue in told)
+        assert abs(deepest + 1e3 * off[i].min()) < 0.2
+    far = _spared(points[missed[0]] + corner + np.array([0.0, 0.0, -0.5]))
+    assert not _told(far, track)
+
+
+def test_faces_are_told_in_their_order_wherever_they_are_held_against_the_tool() -> None:
+    """Every other one is begun elsewhere: there are as many answers, each in its place."""
+    track = _track()
+    points = track.tip[[40, 80, 120]] + 1e-4 * np.eye(3)
+    milling = _milling(_spared(points), track)
+    held = [one for one, _ in _held(milling, 0, milling.spared[0][1])]
+    for some in (held, held[:-1], held[:1], []):
+        wanted, found = list(insides(some)), list(_insides(milling, some))
+        assert [one.least for one in found] == [one.least for one in wanted]
+        assert [one.at for one in found] == [one.at for one in wanted]
