@@ -21,8 +21,9 @@ from planner.report import setup_sheet
 from planner.shopfloor.loading import proven
 from tests import test_seven_axes_jobs as seven
 from tests import test_ur_jobs
+from tests.languages.trajectories import driven_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import driven_job, planner_jobs, small_job
+from tests.verify import planner_jobs, small_job
 
 PROBLEMS = data_dir("problems")
 TIP = ("base_link", "tool0")

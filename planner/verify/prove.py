@@ -19,6 +19,8 @@ from planner.cell.plant import CellModel, build
 from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
+from planner.languages.krl.rules import spline
+from planner.languages.trajectories.rules import trajectories
 from planner.problem import TILT, Problem, Settings
 from planner.processes.forming.proof import swept
 from planner.processes.forming.proof.face import Face
@@ -52,7 +54,6 @@ from planner.verify.rules import (
     dialogue,
     external_axes,
     handshake,
-    krl_spline,
     moves_and_settings,
     part_file,
     robot_motion,
@@ -61,7 +62,6 @@ from planner.verify.rules import (
     text,
     track_along,
     track_way,
-    trajectories,
     waiting_time,
 )
 
@@ -218,7 +218,7 @@ TRIM_RULES: tuple[Rule[[Context, Trimming], Outcome], ...] = (
 )
 """Rules about sheets that are trimmed."""
 
-SPLINE_RULES: tuple[Rule[..., Any], ...] = (krl_spline.spline,)
+SPLINE_RULES: tuple[Rule[..., Any], ...] = (spline.spline,)
 """The rule about spline blocks."""
 
 NEEDED_RULES = (
@@ -358,7 +358,7 @@ class Prover:
             yield
         if run.broken_any(*NEEDED_RULES):
             return
-        outcome, context = krl_spline.spline(context)  # from here on with what its curves leave of room
+        outcome, context = spline.spline(context)  # from here on with what its curves leave of room
         run.add("verify.spline", outcome)
         yield
         for rule in MOTION_RULES:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.verify import driven_job
+from tests.languages.trajectories import driven_job
 
 PATH = Path(__file__).parents[2] / "integrations" / "ros2" / "tandem_runner.py"
 SPEC = importlib.util.spec_from_file_location("tandem_runner", PATH)

@@ -16,7 +16,7 @@ from planner.programs.handshake import windows as handshake_windows
 from planner.programs.handshake.moves import Move, moves
 from planner.programs.handshake.restarts import check
 from planner.verify.context import Context
-from tests.verify import ur_pair
+from tests.languages.urscript import ur_pair
 
 BEFORE = Path(__file__).parents[0] / "files"
 

@@ -13,10 +13,11 @@ from planner.issues import Severity
 from planner.programs import job
 from planner.programs import text as program_text
 from planner.programs.steps import MoveStep
+from tests.languages.krl import krl_job
+from tests.languages.rapid.rapid_edits import name
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import krl_job, small_job
+from tests.verify import small_job
 from tests.verify.provers import prover
-from tests.verify.rapid_edits import name
 
 COUNT = 6
 MAIN, CUTS, DATA = (name(kind, 1) for kind in ("Main", "Cut1", "Data"))

@@ -7,8 +7,8 @@ from __future__ import annotations
 import re
 
 from planner.languages.krl.writer import syntax
-from tests.verify import krl_edits
-from tests.verify.rapid_edits import edit, lines, name, one, put, segment, timed
+from tests.languages.krl import krl_edits
+from tests.languages.rapid.rapid_edits import edit, lines, name, one, put, segment, timed
 from tests.verify.registry import Table, mutator, pick
 
 SMALL: Table = {}

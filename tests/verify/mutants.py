@@ -10,9 +10,7 @@ import re
 
 import numpy as np
 
-from tests.verify.mutants_of_tasks import TASKS_APART
-from tests.verify.mutants_of_text import TEXT
-from tests.verify.rapid_edits import (
+from tests.languages.rapid.rapid_edits import (
     TASKS,
     both,
     change,
@@ -28,6 +26,8 @@ from tests.verify.rapid_edits import (
     shifted,
     timed,
 )
+from tests.verify.mutants_of_tasks import TASKS_APART
+from tests.verify.mutants_of_text import TEXT
 from tests.verify.registry import Table, Texts, into, pick
 from tests.verify.small_job import SIGNAL, TOLERANCE, ends, joints_at, problem
 

@@ -10,7 +10,7 @@ import re
 
 import numpy as np
 
-from tests.verify.rapid_edits import (
+from tests.languages.rapid.rapid_edits import (
     TASKS,
     both,
     change,

@@ -8,16 +8,7 @@ from __future__ import annotations
 
 import re
 
-from tests.verify.rapid_edits import (
-    change,
-    edit,
-    field,
-    lines,
-    moves,
-    name,
-    one,
-    put,
-)
+from tests.languages.rapid.rapid_edits import change, edit, field, lines, moves, name, one, put
 from tests.verify.registry import Table, into, pick
 
 TEXT: Table = {}

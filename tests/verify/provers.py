@@ -9,8 +9,9 @@ from planner.pipeline import Outcome
 from planner.processes import registry
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
+from tests.languages.krl import krl_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import held_job, krl_job, small_job
+from tests.verify import held_job, small_job
 
 JOBS = {"straight": straight_job, "held": held_job, "small": small_job, "krl": krl_job}
 ABB = ("straight", "held", "small")

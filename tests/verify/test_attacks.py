@@ -13,11 +13,11 @@ import pytest
 
 from planner.claims.vocabulary import Segment
 from planner.verify.prove import Prover
+from tests.languages.rapid.rapid_edits import edit, name
 from tests.processes.hotwire.proof import straight_job
 from tests.processes.hotwire.proof.bow_edits import moves, put, rows_of
 from tests.verify import held_job, provers, small_job
 from tests.verify.provers import ABB, JOBS, prover
-from tests.verify.rapid_edits import edit, name
 
 COUNT = 12
 INTO = "[[0,0,0,0,90,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"

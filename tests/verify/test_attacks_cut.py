@@ -16,10 +16,10 @@ from planner.claims.vocabulary import Segment
 from planner.processes.hotwire.proof.rules.straight_wire import between, guide_normals, off_guide
 from planner.processes.hotwire.proof.walls import walls
 from planner.verify.prove import Prover
+from tests.languages.rapid.rapid_edits import edit, name
 from tests.processes.hotwire.proof import straight_job
 from tests.processes.hotwire.proof.bow_edits import moves, put, rows_of
 from tests.verify import small_job
-from tests.verify.rapid_edits import edit, name
 
 COUNT = 12
 KERF = KerfCurve.constant(0.001)

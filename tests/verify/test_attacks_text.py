@@ -12,11 +12,11 @@ import pytest
 from planner.processes.hotwire.proof.rules.wire import stop_in_foam
 from planner.processes.hotwire.proof.wire_motion import wires
 from planner.verify.context import Context
+from tests.languages.rapid.rapid_edits import edit, name
 from tests.processes.hotwire.proof import straight_job
 from tests.processes.hotwire.proof.bow_edits import moves, put, rows_of
 from tests.verify import held_job, provers
 from tests.verify.provers import JOBS, prover
-from tests.verify.rapid_edits import edit, name
 
 COUNT = 12
 EVIL = "MoveAbsJ [[0,0,0,0,90,0],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs,v1000,fine,tool0;"

@@ -16,12 +16,13 @@ from planner.programs import job
 from planner.programs.steps import MoveStep
 from planner.programs.text import decode
 from planner.verify.prove import Prover
+from tests.languages.krl import krl_job
 from tests.languages.krl.reader.wall_program import texts as krl_texts
+from tests.languages.rapid.rapid_edits import name
 from tests.languages.rapid.reader.rapid_texts import FULL
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import krl_job, small_job
+from tests.verify import small_job
 from tests.verify.garbled import garble
-from tests.verify.rapid_edits import name
 from tests.work import counted
 
 COUNT = 4

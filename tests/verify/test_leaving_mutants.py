@@ -18,10 +18,11 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import moves_and_settings, waiting_time
 from tests import line_ends
+from tests.languages.krl import krl_job
+from tests.languages.rapid.rapid_edits import edit, lines, put
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import handshake_job, krl_job, provers, small_job
+from tests.verify import handshake_job, provers, small_job
 from tests.verify.leaving_mutants import KRL, SHAKEN, SMALL, STRAIGHT
-from tests.verify.rapid_edits import edit, lines, put
 
 SAMPLE = 1
 FULL = 12

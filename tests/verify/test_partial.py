@@ -13,10 +13,11 @@ from planner import pipeline
 from planner.cli import command_line
 from planner.issues import TandemError
 from planner.verify.partial import read_partly
+from tests.languages.krl import krl_job
+from tests.languages.rapid.rapid_edits import name
+from tests.languages.urscript import ur_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import krl_job, ur_job
 from tests.verify.garbled import garble
-from tests.verify.rapid_edits import name
 
 COUNT = 5
 MAIN, CUTS, DATA = (name(kind, 1) for kind in ("Main", "Cut1", "Data"))

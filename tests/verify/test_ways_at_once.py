@@ -11,8 +11,8 @@ import pytest
 
 from planner.languages.writing import write
 from tests import line_ends
+from tests.languages.rapid.rapid_edits import edit, lines, name, put
 from tests.verify import provers, small_job
-from tests.verify.rapid_edits import edit, lines, name, put
 
 COUNT = 12
 BLOCK = re.compile(r"MoveAbsJ (\w+)\\ID:=(\d+)\\NoEOffs,v_entry,fine,\w+;")

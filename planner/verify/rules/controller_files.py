@@ -19,6 +19,8 @@ from planner.issues import Issue
 from planner.languages.rapid.reader.flow import CHECK_MODULE
 from planner.languages.rapid.reader.reader import masked
 from planner.languages.rapid.reader.syntax_tree import Instruction, Literal, ProcCall
+from planner.languages.rapid.rules import power_at_stops
+from planner.languages.rapid.rules.power_at_stops import POWER_MODULE, config_row
 from planner.languages.urscript.reader.flow import LOOK_KIND
 from planner.languages.urscript.reader.reader import pose
 from planner.languages.urscript.reader.syntax_tree import CHECK_POINT, LOOK_ERROR
@@ -40,9 +42,7 @@ from planner.programs.text import (
 from planner.verify.context import Context, Outcome, at_step, mm, rule
 from planner.verify.outer_axes import OuterAxis, outer_axes
 from planner.verify.replay import arm_model
-from planner.verify.rules import power_at_stops
 from planner.verify.rules.external_axes import OFF_HOME
-from planner.verify.rules.power_at_stops import POWER_MODULE, config_row
 from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
 
 CONTROLLER_FILES = "verify.controller_files"

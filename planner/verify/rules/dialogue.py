@@ -15,6 +15,7 @@ from planner.claims import vocabulary
 from planner.claims.claim import FollowsRulings, OneOf, WireJoins
 from planner.claims.vocabulary import DialogueStep, OperatorDialogue, Sentence
 from planner.issues import Issue
+from planner.languages.trajectories.rules import trajectories
 from planner.processes.hotwire.proof.rules.straight_wire import guide_normals, off_guide
 from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.programs.job import TaskText
@@ -34,7 +35,6 @@ from planner.verify.programs.operator_dialogue import (
 )
 from planner.verify.programs.operator_dialogue import sentence_text as sentence_of
 from planner.verify.replay.motion import local
-from planner.verify.rules import trajectories
 
 DIALOGUE = "verify.dialogue"
 """Code of the rule about what is told and asked."""

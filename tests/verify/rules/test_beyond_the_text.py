@@ -22,9 +22,20 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.replay.motion import Poses
 from planner.verify.rules import robot_motion
+from tests.languages.rapid.rapid_edits import (
+    both,
+    change,
+    field,
+    lines,
+    moves,
+    name,
+    put,
+    segment,
+    shifted,
+    timed,
+)
 from tests.verify import small_job
 from tests.verify.provers import broken, prover
-from tests.verify.rapid_edits import both, change, field, lines, moves, name, put, segment, shifted, timed
 
 COUNT = 12
 UNUSED = "[9E9,9E9,9E9,9E9,9E9,9E9]"

@@ -16,9 +16,10 @@ from planner.targets import Action
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules.controller_files import controller_files
+from tests.languages.krl import krl_job
 from tests.languages.writing import krl_job as post_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import krl_job, provers, small_job
+from tests.verify import provers, small_job
 from tests.verify.controller_mutants import ABB, HOME, KUKA, LEFT, swap
 
 COUNT = 12

@@ -18,7 +18,8 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover, prove
 from planner.verify.replay.chain import Chain
 from planner.verify.rules import robot_motion
-from tests.verify import held_job, krl_job, small_job
+from tests.languages.krl import krl_job
+from tests.verify import held_job, small_job
 
 MM, TENTH = 1e-3, np.deg2rad(0.1)
 JOINTS = (*(f"joint_{i}" for i in range(1, 7)), "joint_tool0")

@@ -16,8 +16,8 @@ from planner.languages.writing.layout import Track
 from planner.problem import Arm
 from planner.reading.controller import faults
 from tests import urdf_text
+from tests.languages.urscript import ur_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import ur_job
 
 
 def arm(data):

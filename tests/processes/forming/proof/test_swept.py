@@ -15,8 +15,8 @@ from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.state import Centres
 from planner.verify.prove import Prover
 from planner.verify.replay.motion import Poses
+from tests.languages.rapid.rapid_edits import segment, shifted
 from tests.processes.forming.proof import forming_job as job
-from tests.verify.rapid_edits import segment, shifted
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from planner.geometry.arrays import exp_rotation, from_quaternion, to_quaternion
-from tests.verify.rapid_edits import name
+from tests.languages.rapid.rapid_edits import name
 from tests.verify.registry import Texts, pick
 
 MOVE = re.compile(

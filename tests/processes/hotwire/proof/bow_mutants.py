@@ -9,6 +9,7 @@ import re
 
 import numpy as np
 
+from tests.languages.rapid.rapid_edits import edit, name
 from tests.processes.hotwire.proof.bow_edits import (
     PROCS,
     SIGNAL,
@@ -27,7 +28,6 @@ from tests.processes.hotwire.proof.bow_edits import (
     tilted,
     timed,
 )
-from tests.verify.rapid_edits import edit, name
 from tests.verify.registry import Table, Texts, mutator, pick
 
 STRAIGHT: Table = {}

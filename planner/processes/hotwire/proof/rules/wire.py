@@ -13,6 +13,7 @@ import numpy as np
 from planner.claims.claim import ContactOnlyIn, FeedWindow, WireJoins
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue
+from planner.languages.trajectories.rules import trajectories
 from planner.processes.forming.claims import SinksHolder
 from planner.processes.hotwire.proof.wire_motion import Wire, end_distances
 from planner.processes.trim.claims import TrimsSheet
@@ -20,7 +21,6 @@ from planner.programs.job import TaskText, controllers
 from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
 from planner.verify.replay.motion import steps_across
-from planner.verify.rules import trajectories
 from planner.verify.trajectories.tool_speeds import LEAST_PART, STANDS, tool_speeds
 
 MOST_RESIDUAL = 1e-6

@@ -8,7 +8,7 @@ import re
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.verify.krl_edits import (
+from tests.languages.krl.krl_edits import (
     DATA,
     MAIN,
     MOVES,

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from planner.languages.krl.writer import controller_files as krl_files
+from planner.languages.rapid.rules import power_at_stops
 from planner.languages.rapid.writer import controller_files as rapid_files
 from planner.languages.writing import write
 from planner.problem import Interlock, PowerOutput
@@ -21,7 +22,6 @@ from planner.programs.text import krl_lines, rapid_words
 from planner.report import setup_sheet
 from planner.tooling import torch
 from planner.verify.context import Context
-from planner.verify.rules import power_at_stops
 from planner.verify.rules.controller_files import controller_files
 from tests.languages.writing import krl_job as post_job
 from tests.verify.rules.test_controller_files import ARC

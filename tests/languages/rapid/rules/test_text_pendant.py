@@ -6,9 +6,10 @@ import re
 
 from planner.programs import job
 from planner.verify.rules import text as text_rules
-from tests.verify import krl_job, small_job
+from tests.languages.krl import krl_job
+from tests.languages.rapid.rapid_edits import MOVE, name
+from tests.verify import small_job
 from tests.verify.provers import prover
-from tests.verify.rapid_edits import MOVE, name
 
 COUNT = 6
 CUTS = name("Cut1", 1)

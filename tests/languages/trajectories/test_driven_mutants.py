@@ -19,9 +19,10 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.replay import moves
 from planner.verify.trajectories import tool_speeds
+from tests.languages.trajectories import driven_job
+from tests.languages.trajectories.driven_mutants import BENT, HELD, MUTATORS
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import driven_job, held_job, provers, small_job
-from tests.verify.driven_mutants import BENT, HELD, MUTATORS
+from tests.verify import held_job, provers, small_job
 
 FULL = 12
 JOBS = {

@@ -18,8 +18,8 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import external_axes
 from tests import gantry_job
+from tests.languages.krl.rules.test_krl_external_axes import broken, changed, first, refused
 from tests.verify.provers import prover_of
-from tests.verify.rules.test_krl_external_axes import broken, changed, first, refused
 
 STAND, LEG, BEFORE = "E1 700.0000,E2 100.0000", "E1 700.0000,E2 0.0000", "E1 -400.0000,E2 0.0000"
 """The second station as the text has it, what lies between it and those before and behind, and the first

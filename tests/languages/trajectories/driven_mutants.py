@@ -9,8 +9,8 @@ from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
 from planner.languages.trajectories.writer.straight_ways import Driven, solved
+from tests.languages.trajectories.driven_job import rows_of, sealed, written
 from tests.verify import held_job
-from tests.verify.driven_job import rows_of, sealed, written
 from tests.verify.registry import Table, into, pick
 
 MUTATORS: Table = {}

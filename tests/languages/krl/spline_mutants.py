@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 
-from tests.verify.krl_edits import moved, place_of, turned, where, with_place
+from tests.languages.krl.krl_edits import moved, place_of, turned, where, with_place
+from tests.languages.krl.spline_job import MOVES
 from tests.verify.registry import named, pick
-from tests.verify.spline_job import MOVES
 
 MUTATORS = {}
 REWRITES = {}

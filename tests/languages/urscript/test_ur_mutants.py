@@ -16,9 +16,10 @@ from planner.languages.writing import write
 from planner.verify import result
 from planner.verify.prove import Prover
 from tests import urdf_text
+from tests.languages.urscript import ur_job
+from tests.languages.urscript.ur_mutants import FILE, MUTATORS
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import provers, ur_job
-from tests.verify.ur_mutants import FILE, MUTATORS
+from tests.verify import provers
 
 SAMPLE = 1
 FULL = 12

@@ -8,8 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from tests.verify import ur_pair
-from tests.verify.ur_machine import TICK, Machine, Pair
+from tests.languages.urscript import ur_pair
+from tests.languages.urscript.ur_machine import TICK, Machine, Pair
 
 WIRES = ((0, 0, 1, 2), (1, 2, 0, 0), (0, 1, 1, 3), (1, 3, 0, 1))
 """Lines of the meetings, then those that say who runs, by the numbers of ``ur_pair``."""

@@ -17,10 +17,10 @@ from planner.reading.controller import ControllerFile, controllers
 from planner.verify import prove
 from planner.verify.rules import clearance
 from tests import small_problem
+from tests.languages.krl import spline_job
+from tests.languages.krl.spline_job import MAIN, MOVES, broken
+from tests.languages.krl.spline_mutants import MUTATORS, REWRITES, instances, made
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import spline_job
-from tests.verify.spline_job import MAIN, MOVES, broken
-from tests.verify.spline_mutants import MUTATORS, REWRITES, instances, made
 
 
 def test_a_block_keeps_the_planned_times_and_says_what_it_rests_on():

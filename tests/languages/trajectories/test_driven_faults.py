@@ -12,8 +12,9 @@ from planner.issues import TandemError
 from planner.languages.trajectories.writer import curves, program, rows, straight_ways
 from planner.languages.writing import write
 from planner.verify.prove import Prover
+from tests.languages.trajectories import driven_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import driven_job, small_job
+from tests.verify import small_job
 
 JOBS = {
     "bow": (driven_job.bow_problem, straight_job.claims, lambda: straight_job.plan(driven_job.COUNT)),

@@ -16,7 +16,7 @@ from planner.verify.context import Context
 from planner.verify.prove import Prover
 from planner.verify.rules import handshake as rules_handshake
 from planner.verify.rules import moves_and_settings, synchronisation, waiting_time
-from tests.verify import ur_pair
+from tests.languages.urscript import ur_pair
 
 FORMS = [("four_phase", 3), ("four_phase", 1)]
 FILES = {arm: f"{arm}/small.script" for arm in ur_pair.ARMS}

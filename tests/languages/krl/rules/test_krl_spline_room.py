@@ -12,13 +12,13 @@ from planner.claims.claim import FeedWindow
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import to_quaternion
 from planner.languages.krl.reader import spline_curve
+from planner.languages.krl.rules import spline
+from planner.languages.krl.rules.spline import Allowance
 from planner.languages.krl.writer.spline_blocks import curve
 from planner.motion import solve
 from planner.processes.milling.claims import MillsAlong
-from planner.verify.rules import krl_spline
-from planner.verify.rules.krl_spline import Allowance
+from tests.languages.krl import spline_job
 from tests.languages.krl.reader.spline_members import block
-from tests.verify import spline_job
 
 
 @pytest.mark.parametrize("kind", ["arc", "kink", "anyhow"])
@@ -57,11 +57,11 @@ def test_claims_lose_what_curves_may_be_off():
     segment = Segment("mill", "wall")
     tip = np.zeros((2, 3))
     claim = MillsAlong(segment, "robot", tip, tip, np.array([0.0, 0.02]), 1e-4, 0.01)
-    less = krl_spline._less(claim, most)
+    less = spline._less(claim, most)
     assert less.tolerance == pytest.approx(7e-5) and less.turn == pytest.approx(0.0096)
-    assert less.feed[1] == pytest.approx(0.02 / krl_spline.FASTER_FACTOR)
-    window = krl_spline._less(FeedWindow(segment, 0.0, 0.03), most)
-    assert window.upper == pytest.approx(0.03 / krl_spline.FASTER_FACTOR)
+    assert less.feed[1] == pytest.approx(0.02 / spline.FASTER_FACTOR)
+    window = spline._less(FeedWindow(segment, 0.0, 0.03), most)
+    assert window.upper == pytest.approx(0.03 / spline.FASTER_FACTOR)
     assert most.at(0.1) == pytest.approx(5e-5)
 
 

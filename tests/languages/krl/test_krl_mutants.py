@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from planner.verify.prove import Prover
-from tests.verify import krl_job, provers
-from tests.verify.krl_mutants import MUTATORS
-from tests.verify.krl_panel_mutants import OLDER
+from tests.languages.krl import krl_job
+from tests.languages.krl.krl_mutants import MUTATORS
+from tests.languages.krl.krl_panel_mutants import OLDER
+from tests.verify import provers
 from tests.verify.provers import prover
 
 SAMPLE = 1

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import re
 
-from tests.verify.krl_edits import MAIN, MOVES, edit, put, rows_of, where
-from tests.verify.krl_mutants import mutator
+from tests.languages.krl.krl_edits import MAIN, MOVES, edit, put, rows_of, where
+from tests.languages.krl.krl_mutants import mutator
 from tests.verify.registry import Table, into, pick
 
 ROWS = 11

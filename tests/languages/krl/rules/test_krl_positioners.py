@@ -16,8 +16,8 @@ from planner.report import scene, setup_sheet
 from planner.verify.context import Context
 from planner.verify.prove import Prover
 from tests import positioner_job
+from tests.languages.krl.rules.test_krl_external_axes import LOOK, broken, changed, first, refused
 from tests.verify.provers import prover_of
-from tests.verify.rules.test_krl_external_axes import LOOK, broken, changed, first, refused
 
 TURN, TILT = "-180.0000", "-65.0000"
 """The second station as the text has it: E1 and E2."""
