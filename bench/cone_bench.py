@@ -23,10 +23,10 @@ from planner.cell import clearance
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
-from planner.verify.context import Context
-from planner.verify.prove import Prover
-from planner.verify.replay.clearance_samples import clearance_rows
-from planner.verify.rules.clearance import MEASURED_REACH
+from planner.proof.clearance.samples import clearance_rows
+from planner.proof.context import Context
+from planner.proof.prove import Prover
+from planner.proof.rules.clearance import MEASURED_REACH
 
 JOBS = ("cone_dpif_l", "cone_dpif_p")
 GOAL_S, GOAL_MB = {"cone_dpif_l": 60.0, "cone_dpif_p": 90.0}, 1000.0

@@ -13,12 +13,12 @@ import numpy as np
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.processes.hotwire.proof.wire_motion import follow_wire
-from planner.verify.context import Context
-from planner.verify.prove import RULE_CODES, Prover
-from planner.verify.replay import arm_model
+from planner.proof.context import Context
+from planner.proof.kinematics import arm_model
+from planner.proof.prove import RULE_CODES, Prover
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import held_job, small_job
-from tests.verify.mutants import MUTATORS
+from tests.proof import held_job, small_job
+from tests.proof.mutants import MUTATORS
 
 TARGETS = 220
 """Targets of each face: with entry, link and exit about 460 in all."""

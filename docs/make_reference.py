@@ -20,6 +20,7 @@ from planner.processes.hotwire.plan import operation
 from planner.processes.milling.plan import operation as milling_operation
 from planner.processes.poses.plan import job
 from planner.processes.trim.plan import operation as trim_operation
+from planner.proof import prove
 from planner.reading import (
     axes,
     cell,
@@ -37,7 +38,6 @@ from planner.reading import (
     stock,
 )
 from planner.reading import part as part_file
-from planner.verify import prove
 
 HERE = Path(__file__).parent
 PACKAGE = HERE.parent / "planner"

@@ -43,7 +43,7 @@ _HOME = {
     "check": ("planner.pipeline", "check"),
     "load": ("planner.pipeline", "load"),
     "plan": ("planner.pipeline", "plan"),
-    "prove": ("planner.pipeline", "verify"),  # planner.verify is the package of the proof
+    "prove": ("planner.pipeline", "verify"),  # planner.proof is the package of the proof
     "read_partly": ("planner.pipeline", "read_partly"),
     "read_programs": ("planner.pipeline", "read_programs"),
     "save": ("planner.pipeline", "save"),

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
     from planner.motion.former import Former
     from planner.plans import Plan
+    from planner.proof.partial import Partial
+    from planner.proof.verdict import Proof
     from planner.report.cell_picture import Picture
     from planner.report.replay import Viewer
     from planner.runtime.executor import Executor
     from planner.targets import Job, Targets
-    from planner.verify.partial import Partial
-    from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
@@ -49,8 +49,8 @@ def ready() -> None:
         from planner import plans  # noqa: F401
         from planner.languages.writing import write  # noqa: F401
         from planner.motion import solve  # noqa: F401
+        from planner.proof import partial, prove  # noqa: F401
         from planner.report import output  # noqa: F401
-        from planner.verify import partial, prove  # noqa: F401
 
 
 def warm_up() -> None:
@@ -247,8 +247,8 @@ def _planned(
     ready()
     from planner.languages.writing import write
     from planner.motion import sag, solve
+    from planner.proof import prove
     from planner.report import output
-    from planner.verify import prove
 
     jobs = processes.jobs(problem)
     targets = targets_of(problem, jobs)
@@ -426,7 +426,7 @@ def verify(problem: Problem | spec.Problem, programs: Mapping[str, str], process
 def _proven(problem: Problem, programs: Mapping[str, str], executor: Executor) -> Proof:
     """The proof of programs; ``executor`` runs independent work."""
     ready()
-    from planner.verify import prove
+    from planner.proof import prove
 
     return prove.prove(problem, processes.claims(problem), programs, executor)
 
@@ -441,7 +441,7 @@ def read_partly(problem: Problem | spec.Problem, programs: Mapping[str, str]) ->
     """How much of programs of any origin is read and proven, for the cell of ``problem``."""
     problem = built(problem)
     ready()
-    from planner.verify import partial
+    from planner.proof import partial
 
     return partial.read_partly(problem, programs)
 
@@ -523,7 +523,7 @@ def _with_margins(
 ) -> Mapping[str, str]:
     """The proven programs with the proof's margins in their headers, which must change comments alone."""
     from planner.languages.writing import write
-    from planner.verify import result
+    from planner.proof import verdict as result
 
     final = write.programs(made, problem, result.text(proof))
     if not result.same_program(programs, final):

@@ -17,9 +17,9 @@ from planner.cell import plant
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import FloatArray, inverse, to_quaternion
 from planner.pipeline import Outcome
-from planner.verify.context import Context
-from planner.verify.prove import Prover
-from planner.verify.rules import external_axes
+from planner.proof.context import Context
+from planner.proof.prove import Prover
+from planner.proof.rules import external_axes
 from tests import table_job
 from tests.track_job import COLUMNS
 

@@ -23,7 +23,7 @@ from tests import test_seven_axes_jobs as seven
 from tests import test_ur_jobs
 from tests.languages.trajectories import driven_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import planner_jobs, small_job
+from tests.proof import planner_jobs, small_job
 
 PROBLEMS = data_dir("problems")
 TIP = ("base_link", "tool0")

@@ -18,9 +18,9 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import has_errors
 from planner.pipeline import Outcome, looked_over, plan, verify
 from planner.processes import registry
+from planner.proof.context import Context
 from planner.report import cad_export, motion_file, scene
 from planner.report.output import cell_model
-from planner.verify.context import Context
 from tests import following_job, track_job
 
 PROBLEMS = Path(__file__).parent.parent / "problems"

@@ -15,9 +15,9 @@ from planner.catalogue.robots import data_dir
 from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.issues import TandemError
 from planner.processes import registry
-from planner.verify.context import Context
-from planner.verify.prove import prove
-from planner.verify.replay import arm_model
+from planner.proof.context import Context
+from planner.proof.kinematics import arm_model
+from planner.proof.prove import prove
 from tests import small_problem
 
 GOFA = "crb15000_5_95"

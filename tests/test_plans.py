@@ -17,7 +17,7 @@ from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.processes import registry
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
-from tests.verify.planner_jobs import JOBS
+from tests.proof.planner_jobs import JOBS
 
 RNG = np.random.default_rng(3)
 

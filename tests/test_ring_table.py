@@ -16,8 +16,8 @@ import planner
 from planner.cli.results import write_pages
 from planner.pipeline import plan, verify
 from planner.processes import registry
+from planner.proof.context import Context
 from planner.report import scene
-from planner.verify.context import Context
 from tests import table_job
 
 PROBLEMS = Path(__file__).parent.parent / "problems"

@@ -19,11 +19,11 @@ from planner.motion.planning_scene import Scene
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory import trajopt
 from planner.processes import registry
+from planner.proof.kinematics import arm_model
 from planner.reading.urdf import read_chain
 from planner.report import motion_file
 from planner.service import cell_view
 from planner.targets import JointFreedom
-from planner.verify.replay import arm_model
 from tests import small_problem, test_ur_jobs, urdf_text
 
 TEXTS = {"panda": urdf_text.panda(), "iiwa": urdf_text.iiwa()}

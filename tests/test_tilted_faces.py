@@ -15,8 +15,8 @@ from planner.cli.results import write_pages
 from planner.motion import stations
 from planner.pipeline import plan, verify
 from planner.processes import registry
+from planner.proof.context import Context
 from planner.report import scene
-from planner.verify.context import Context
 from tests import positioner_job, table_job
 
 PROBLEMS = Path(__file__).parent.parent / "problems"

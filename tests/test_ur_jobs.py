@@ -21,8 +21,8 @@ from planner.motion.planning_scene import FULL_TURN, Scene
 from planner.processes import registry
 from planner.report import setup_sheet
 from tests import small_problem, urdf_text
+from tests.proof import planner_jobs
 from tests.refusals import change
-from tests.verify import planner_jobs
 
 ARM = {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}
 PROBLEMS = data_dir("problems")

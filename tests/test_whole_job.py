@@ -15,7 +15,7 @@ from planner.cell.kinematics import forward
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import inverse, log_pose
 from planner.pipeline import Outcome
-from tests.verify.planner_jobs import JOBS
+from tests.proof.planner_jobs import JOBS
 
 
 @pytest.fixture(scope="module")

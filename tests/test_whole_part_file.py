@@ -12,7 +12,7 @@ from planner import pipeline
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import TandemError
 from planner.reading import part_surfaces
-from tests.verify.planner_jobs import JOBS
+from tests.proof.planner_jobs import JOBS
 
 
 @pytest.fixture(scope="module")

@@ -26,10 +26,10 @@ from planner.batch.rows import RECORDS, Row, figures
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate
 from planner.plans import OperationPlan, Plan
+from planner.proof.verdict import RuleResult
 from planner.report import markup
 from planner.report.markup import CSS
 from planner.report.thumbnail import thumbnail
-from planner.verify.result import RuleResult
 
 
 @dataclasses.dataclass(frozen=True)

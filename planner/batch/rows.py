@@ -15,7 +15,7 @@ from planner.batch.job import Done
 if TYPE_CHECKING:
     from planner.plans import Plan
     from planner.problem import Problem
-    from planner.verify.result import RuleResult
+    from planner.proof.verdict import RuleResult
 
 RECORDS: Final = ".records"
 """The folder, beside the results, of what a batch remembers of its jobs."""

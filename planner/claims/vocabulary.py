@@ -3,7 +3,7 @@
 Sentences: processes and posts write them word for word, and the proof refuses any other. A sentence
 is plain ASCII and has fields for its figures. Which ones stand where in a program, with which
 figures, is claimed of each operation (`OperatorDialogue`), and follows from the problem for starts,
-setups and error handlers (``verify/programs/operator_dialogue.py``). A program that has more to say
+setups and error handlers (``proof/dialogue.py``). A program that has more to say
 gets its sentence here, and its place there.
 
 Files beside the programs: the wording which writer and proof both read. Lines of a box have 55

@@ -17,10 +17,10 @@ from planner.files import RELEASE, write_whole
 from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
+    from planner.proof.verdict import Proof
     from planner.shopfloor.loading.rws import Rws
     from planner.shopfloor.loading.store import Store
     from planner.shopfloor.loading.upload import Sent
-    from planner.verify.result import Proof
 
 PASSWORD = "TANDEM_CONTROLLER_PASSWORD"
 """The variable of the environment that holds the password."""

@@ -17,8 +17,8 @@ from planner.problem import Problem
 
 if TYPE_CHECKING:
     from planner.plans import Plan
+    from planner.proof.verdict import Proof
     from planner.report.freedom_map import FreedomMap
-    from planner.verify.result import Proof
 
 GCODE: Final = ".ngc"
 """Ending of files for five-axis machines."""

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
     from planner.problem import Problem
-    from planner.verify.result import Proof
+    from planner.proof.verdict import Proof
 
 SIGN_INSTALL: Final = "pip install 'tandem-planner[sign]'"
 """What installs the extra that signing needs."""

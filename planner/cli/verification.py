@@ -14,7 +14,7 @@ from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
     from planner.problem import Problem
-    from planner.verify.result import Proof
+    from planner.proof.verdict import Proof
 
 MAX_FIELDS_SHOWN: Final = 40
 """Maximum number of differing fields that are listed."""

@@ -1,1 +1,1 @@
-"""Programs as read: steps, handshake and signals, whatever their language."""
+"""Programs in any robot language: steps, text, what operators read, meetings of two controllers."""

@@ -51,7 +51,7 @@ from planner.programs.steps import (
     SyncStep,
     letters,
 )
-from planner.verify.replay.arm_model import machine_of
+from planner.proof.kinematics.arm_model import machine_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

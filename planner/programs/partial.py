@@ -1,7 +1,7 @@
 """Programs of others, read as far as the readers know them: what is not read is noted, and reading goes on
 behind it.
 
-Here nothing is refused and nothing is proven: :mod:`planner.verify.partial` says what of the moves is.
+Here nothing is refused and nothing is proven: :mod:`planner.proof.partial` says what of the moves is.
 """
 
 from __future__ import annotations

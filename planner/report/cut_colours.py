@@ -17,9 +17,9 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.plans import Plan
 from planner.problem import Problem
+from planner.proof.verdict import CutFace, Proof
 from planner.report import charts, markup, motion_charts
 from planner.report.motion_charts import Motion
-from planner.verify.result import CutFace, Proof
 
 SHADES: Final = 33
 """Colours of a key, evenly from one end of its scale to the other."""

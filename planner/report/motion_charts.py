@@ -26,10 +26,10 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import Plan
 from planner.problem import Problem, Settings
+from planner.proof.verdict import Proof
 from planner.report import markup
 from planner.report.charts import Band, Level, Line, chart
 from planner.report.markup import Figure
-from planner.verify.result import Proof
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,6 +19,7 @@ from planner.claims.claim import FollowsRulings
 from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem, Setup
+from planner.proof.verdict import Proof
 from planner.report import (
     cell_picture,
     exhibits,
@@ -34,7 +35,6 @@ from planner.report.freedom_map import FreedomMap
 from planner.report.markup import Block, Section
 from planner.report.motion_charts import Motion
 from planner.report.replay import Viewer
-from planner.verify.result import Proof
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,11 +21,11 @@ from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.problem import Problem
+from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.report import charts, markup, motion_charts
 from planner.report.cell_picture import Picture
 from planner.report.markup import Block, Phrase
 from planner.report.scene import MOTION_TIME, TRAVEL_TIME
-from planner.verify.result import CutFace, Proof, RuleResult
 
 _CLEARANCE_RULES: Final = ("verify.clearance", "verify.wire_clearance")
 """Rules that say whether the least clearance is enough."""

@@ -27,11 +27,11 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse, sp
 from planner.geometry.units import MM
 from planner.plans import Plan
 from planner.problem import Problem, Setup
+from planner.proof.verdict import Proof
 from planner.report import cut_colours, raster, released_sheet, view3d
 from planner.report import scene as scenes
 from planner.report.scene import Sweep, Track, track
 from planner.report.time_bar import Clock, embedded, replay_clock, time_bar
-from planner.verify.result import Proof
 
 KEYFRAMES: Final = 480
 """Keyframes of a job of one operation."""

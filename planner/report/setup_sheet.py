@@ -25,12 +25,12 @@ from planner.problem import (
     torch_signals,
 )
 from planner.processes.forming.claims import SinksHolder
+from planner.proof.verdict import Proof
 from planner.report import axes_sheet, exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
 from planner.report.pose_text import point, pose_cells
 from planner.tooling import Gripper
-from planner.verify.result import Proof
 
 _FILL = markup.Blank()
 """Room to tick off or to write in what was measured."""

@@ -23,10 +23,10 @@ from planner.issue_codes import CODES
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
+from planner.proof.verdict import Proof, RuleResult
 from planner.reading import problem as problem_file
 from planner.service import tandem_client
 from planner.service.tandem_client import PLANNED, Progress
-from planner.verify.result import Proof, RuleResult
 
 if TYPE_CHECKING:
     from planner.service.tandem_client import Content

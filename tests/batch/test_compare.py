@@ -20,8 +20,8 @@ from planner.cli.batch import Compare, run_compare
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome, load
 from planner.plans import OperationPlan, Plan
+from planner.proof.verdict import Proof
 from planner.targets import Targets
-from planner.verify.result import Proof
 from tests import small_problem
 
 LABELS = ("approach", "cut", "cut", "link", "cut")

@@ -17,9 +17,9 @@ from planner.processes.forming.plan import job as forming_job
 from planner.processes.hotwire.plan.straight import job as straight_job
 from planner.processes.milling.claims import MillsProgram, SparesPart
 from planner.processes.milling.plan import job as milling_job
+from planner.proof.replay.moves import end_rates, time_law_of
 from planner.targets import Rounding, lever
 from planner.tooling import bow
-from planner.verify.replay.moves import end_rates, time_law_of
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import moves, numbers, programs
 from tests.processes.hotwire.plan import foam_blocks

@@ -25,12 +25,12 @@ from planner.languages.rapid.writer.syntax import procedure
 from planner.languages.writing import write
 from planner.processes import registry
 from planner.programs.text import segment_of_name
-from planner.verify import prove
+from planner.proof import prove
 from tests import line_ends, small_problem
 from tests.processes.hotwire.plan.straight import test_job as test_straight
 from tests.processes.hotwire.proof import straight_job
 from tests.processes.milling.plan import small_mill
-from tests.verify.planner_jobs import JOBS
+from tests.proof.planner_jobs import JOBS
 
 PHASES = st.sampled_from(["", "in", "out"])
 WORDS = st.sampled_from(

@@ -24,8 +24,8 @@ from planner.pipeline import Outcome
 from planner.processes import registry
 from planner.processes.forming.proof.rules import springback
 from planner.processes.forming.proof.state import Forming
+from planner.proof.context import Context
 from planner.shopfloor.scan import cloud
-from planner.verify.context import Context
 from tests import small_forming
 from tests.processes.forming.plan.springback import springback_files as files
 from tests.shopfloor.scan.made_scan import made_scan, write_marks, write_ply

@@ -7,7 +7,7 @@ import pytest
 
 from planner.geometry.mesh import TriangleMesh, check_surface, face_normals, merge
 from planner.geometry.mesh_repair import border, fitted_face, levelled, rims_levelled, sewn, vertex_noise
-from planner.verify.files.sheets import tolerance_of
+from planner.proof.part_files.sheets import tolerance_of
 from tests.processes.forming.plan import nests, shapes
 
 SPACING = 1.5e-3

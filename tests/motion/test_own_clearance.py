@@ -16,9 +16,9 @@ from planner.motion import own_clearance, remedies, ways
 from planner.motion.planning_scene import Scene
 from planner.pipeline import load
 from planner.problem import Problem, Settings
+from planner.proof.rules import clearance as rules
 from planner.targets import Targets
-from planner.verify.rules import clearance as rules
-from tests.verify import held_job, small_job
+from tests.proof import held_job, small_job
 
 NEAR_M = (0.0055, 0.0085)
 """Distances between both clearances at their defaults."""

@@ -23,10 +23,10 @@ from planner.motion import sag, solve
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.processes import registry
+from planner.proof.replay import bending
 from planner.report import markup
 from planner.report.setup_sheet import controller_checks
-from planner.verify.replay import bending
-from tests.verify.planner_jobs import DEEPER, JOBS, SOFT, sagging
+from tests.proof.planner_jobs import DEEPER, JOBS, SOFT, sagging
 
 
 def planned(path: Path) -> tuple[Problem, Plan]:

@@ -44,7 +44,7 @@ PLANNING = (
     "planner.cell",
     "planner.motion",
     "planner.languages.writing",
-    "planner.verify",
+    "planner.proof",
     "planner.report",
 )
 """What plans, proves and draws, and loads Drake for that."""

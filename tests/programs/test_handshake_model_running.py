@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.programs.handshake.model import Action, check
-from planner.verify.rules.handshake import _MODEL_CASES
+from planner.proof.rules.handshake import _MODEL_CASES
 from tests.programs.automata import FOLLOW, LEAD, WIRES, put, wait, with_, work
 
 WORK = ("works", "works")

@@ -15,7 +15,7 @@ from planner.programs.handshake import restarts
 from planner.programs.handshake import windows as handshake_windows
 from planner.programs.handshake.moves import Move, moves
 from planner.programs.handshake.restarts import check
-from planner.verify.context import Context
+from planner.proof.context import Context
 from tests.languages.urscript import ur_pair
 
 BEFORE = Path(__file__).parents[0] / "files"

@@ -9,7 +9,7 @@ import pytest
 from planner.claims import vocabulary
 from planner.languages.krl.writer import syntax as krl_syntax
 from planner.languages.rapid.writer import syntax
-from planner.verify.programs.operator_dialogue import fit, on_panel
+from planner.proof.dialogue import fit, on_panel
 
 
 def test_figures_are_held_with_their_rounding():

@@ -16,8 +16,8 @@ from planner.programs.steps import MoveStep
 from tests.languages.krl import krl_job
 from tests.languages.rapid.rapid_edits import name
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import small_job
-from tests.verify.provers import prover
+from tests.proof import small_job
+from tests.proof.provers import prover
 
 COUNT = 6
 MAIN, CUTS, DATA = (name(kind, 1) for kind in ("Main", "Cut1", "Data"))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from planner.issues import Severity, TandemError
+from planner.proof.part_files import curves as proof
 from planner.reading.drawing import joined, read_dxf
-from planner.verify.files import curves as proof
 
 ezdxf = pytest.importorskip("ezdxf")
 

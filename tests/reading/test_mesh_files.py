@@ -15,10 +15,10 @@ import trimesh
 from planner.geometry import mesh_files
 from planner.geometry.mesh_files import read_mesh
 from planner.issues import TandemError
+from planner.proof.part_files import UnreadError, packed_meshes
+from planner.proof.part_files.meshes import mesh_face, read_facets
 from planner.reading.part_surfaces import FaceMeshFile, FrontFile, build_faces, surface
 from planner.service.upload_reader import mesh_size
-from planner.verify.files import UnreadError, packed_meshes
-from planner.verify.files.meshes import mesh_face, read_facets
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 LINKS = (

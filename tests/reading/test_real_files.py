@@ -10,12 +10,12 @@ import pytest
 from planner.geometry.mesh_files import UNIT_SUFFIXES, read_mesh, stated_unit, unit_note
 from planner.geometry.units import LENGTH_UNITS
 from planner.issues import Severity, TandemError
+from planner.proof.part_files import rhino as proof
+from planner.proof.part_files.curves import read_curves
+from planner.proof.part_files.meshes import read_facets
 from planner.reading import rhino
 from planner.reading.drawing import read_dxf
 from planner.reading.rhino import RhinoFaceFile, RhinoFile
-from planner.verify.files import rhino as proof
-from planner.verify.files.curves import read_curves
-from planner.verify.files.meshes import read_facets
 
 HERE = Path(__file__).parents[1] / "real_files"
 

@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.mesh import face_normals
 from planner.issues import TandemError
+from planner.proof.part_files import rhino as proof
+from planner.proof.part_files.surfaces import stated
 from planner.reading import rhino
 from planner.reading.part_surfaces import BackFile, FrontFile, build_faces
 from planner.reading.rhino import RhinoFaceFile, RhinoFile, RhinoRuledFile
-from planner.verify.files import rhino as proof
-from planner.verify.files.surfaces import stated
 from tests.rhino_files import LOWER, UNITS, Model, along, at, curve, free_surface, ruled_surface
 
 MM = 1e-3

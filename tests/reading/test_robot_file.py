@@ -16,10 +16,10 @@ from planner.catalogue import robots
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import from_rpy, inverse, to_rpy
 from planner.issues import TandemError
+from planner.proof.kinematics import arm_model
 from planner.reading import problem as problem_file
 from planner.report import setup_sheet
 from planner.tooling import wire_holder
-from planner.verify.replay import arm_model
 from tests import small_problem, urdf_text
 from tests.refusals import POSES, change
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
+from planner.proof.part_files import UnreadError
+from planner.proof.part_files import step as proof
 from planner.reading import step
 from planner.reading.part_surfaces import FrontFile, build_faces
 from planner.reading.step import StepFaceFile, StepRuledFile
-from planner.verify.files import UnreadError
-from planner.verify.files import step as proof
 
 HERE = Path(__file__).parents[1] / "real_files"
 MM = 1e-3

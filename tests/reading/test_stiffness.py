@@ -12,7 +12,7 @@ import yaml
 from planner import pipeline, spec
 from planner.catalogue import robots
 from planner.issues import TandemError
-from tests.verify.planner_jobs import JOBS
+from tests.proof.planner_jobs import JOBS
 
 STIFFNESS: dict[str, Any] = {
     "joints_nm_rad": [3.1e5, 3.3e5, 2.2e5, 6.0e4, 6.0e4, 4.0e4],

@@ -20,15 +20,15 @@ from planner.cli import preparation as align_commands
 from planner.cli import statement
 from planner.cli.verification import compare_with_file
 from planner.issues import Issue
+from planner.proof.prove import Prover
+from planner.proof.replay import playback
 from planner.reading import problem as problem_file
-from planner.verify.prove import Prover
-from planner.verify.replay import playback
 from tests import small_problem
+from tests.proof import small_job
 from tests.reading.test_setups import CELL as BOW_AND_GRIPPER
 from tests.refusals import POSES, change
 from tests.remedies.advice import Said, Word, Words
 from tests.remedies.remedy_rows import GONE, Row, found, write
-from tests.verify import small_job
 
 WORLD: Final = np.array(
     [[0, -300, 400], [0, 300, 400], [50, 250, 800], [-50, -280, 750], [30, 10, 500], [-40, 0, 900]]

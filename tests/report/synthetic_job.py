@@ -15,9 +15,9 @@ from planner.geometry.arrays import Mesh, Shape, from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Obstacle, Part, Problem, Settings, Stock
+from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.targets import Action, Edge, ScrewFreedom, Targets
 from planner.tooling import PlainTool
-from planner.verify.result import CutFace, Proof, RuleResult
 
 ARMS = ("left", "right")
 SIZE = np.array([0.4, 0.1, 0.34])

@@ -16,7 +16,7 @@ from planner.cli import results
 from planner.issues import TandemError
 from planner.report import cad_export
 from tests import small_problem
-from tests.verify.planner_jobs import ruled
+from tests.proof.planner_jobs import ruled
 
 AT = (450.0, 0.0, 0.0)
 """Where the small problem's block stands [mm]."""

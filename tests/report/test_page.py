@@ -15,9 +15,9 @@ from planner.cell import kinematics
 from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.problem import Problem
+from planner.proof.verdict import Proof, RuleResult
 from planner.report import markup, motion_charts, output, page_sections, setup_sheet
 from planner.report.output import Extra
-from planner.verify.result import Proof, RuleResult
 from tests.languages.writing import krl_job
 from tests.processes.hotwire.proof import straight_job
 from tests.report import synthetic_job as job

@@ -15,9 +15,9 @@ from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import Ruled
 from planner.plans import Plan
 from planner.problem import Problem
+from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.report import cell_picture, motion_charts, output, raster, replay, scene
 from planner.report.scene import SETUP_SEGMENT, track
-from planner.verify.result import CutFace, Proof, RuleResult
 from tests.report import synthetic_job as job
 from tests.report import synthetic_setups as made
 

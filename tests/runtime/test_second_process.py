@@ -22,15 +22,15 @@ from planner.issues import Issue, TandemError
 from planner.motion import solve
 from planner.pipeline import WARM_UP
 from planner.processes import registry
+from planner.proof import prove as verify_prove
+from planner.proof.prove import prove
 from planner.report import output
 from planner.runtime.executor import SerialExecutor
 from planner.runtime.second_process import SMALL_BYTES, SecondProcess, open_executor
-from planner.verify import prove as verify_prove
-from planner.verify.prove import prove
 from tests import small_problem
 from tests.processes.forming.proof import forming_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import small_job
+from tests.proof import small_job
 
 
 class Recorder(SecondProcess):

@@ -24,6 +24,7 @@ from planner.issues import TandemError
 from planner.problem import Problem
 from planner.processes import registry
 from planner.processes.hotwire.plan.straight import job
+from planner.proof.prove import Prover
 from planner.reading import cell
 from planner.targets import lever
 from planner.tooling import (
@@ -43,13 +44,12 @@ from planner.tooling import (
     working_solid,
 )
 from planner.tooling.holding_tools import OnFlange
-from planner.verify.prove import Prover
 from tests import small_forming
 from tests.cell.cells import BLOCK, alone
 from tests.processes.hotwire.plan import foam_blocks
 from tests.processes.hotwire.proof import straight_job
 from tests.processes.milling.plan import small_mill
-from tests.verify.provers import broken
+from tests.proof.provers import broken
 
 MILL = {"kind": "mill", "diameter_mm": 10, "flute_mm": 30, "overhang_mm": 60, "mass_kg": 3}
 PLAIN = {

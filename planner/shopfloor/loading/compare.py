@@ -14,9 +14,9 @@ from planner.issues import Issue, Severity, TandemError
 from planner.problem import Arm, Problem
 from planner.programs.job import TaskText
 from planner.programs.steps import SignalStep, WaitStep, poses
+from planner.proof.context import Context
 from planner.shopfloor.loading.literals import difference, turn_deg
 from planner.shopfloor.loading.rws import Rws
-from planner.verify.context import Context
 
 BASE_SHIFT, BASE_TURN = 0.1, 0.02
 """How far a base frame may be off [mm], [deg]: what the programs themselves allow when they start."""

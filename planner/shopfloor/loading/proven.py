@@ -22,7 +22,7 @@ from planner.programs import text as program_text
 from planner.programs.job import CONTROLLER
 
 if TYPE_CHECKING:
-    from planner.verify.result import Proof
+    from planner.proof.verdict import Proof
 
 AGAIN = "prove again: tandem verify OUT"
 """What to do where a proof is missing or old: that writes it anew."""

@@ -7,7 +7,7 @@ import re
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.verify.registry import pick
+from tests.proof.registry import pick
 
 MAIN, DATA, MOVES = "left/straight.src", "left/straight.dat", ("left/straight_1.src", "left/straight_2.src")
 _PLACE = re.compile(r"\{X ([-\d.]+),Y ([-\d.]+),Z ([-\d.]+),A ([-\d.]+),B ([-\d.]+),C ([-\d.]+)")

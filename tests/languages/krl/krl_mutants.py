@@ -21,7 +21,7 @@ from tests.languages.krl.krl_edits import (
     where,
     with_place,
 )
-from tests.verify.registry import Table, into, pick
+from tests.proof.registry import Table, into, pick
 
 MUTATORS: Table = {}
 mutator = into(MUTATORS)

@@ -7,7 +7,7 @@ import re
 
 from tests.languages.krl.krl_edits import MAIN, MOVES, edit, put, rows_of, where
 from tests.languages.krl.krl_mutants import mutator
-from tests.verify.registry import Table, into, pick
+from tests.proof.registry import Table, into, pick
 
 ROWS = 11
 """Rows of a dialog."""

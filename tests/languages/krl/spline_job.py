@@ -12,7 +12,7 @@ from planner import pipeline
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests import small_problem
 
 MAIN, MOVES, DATA = "left/small.src", "left/small_1.src", "left/small.dat"

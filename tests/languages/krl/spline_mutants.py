@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.languages.krl.krl_edits import moved, place_of, turned, where, with_place
 from tests.languages.krl.spline_job import MOVES
-from tests.verify.registry import named, pick
+from tests.proof.registry import named, pick
 
 MUTATORS = {}
 REWRITES = {}

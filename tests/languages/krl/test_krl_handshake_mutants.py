@@ -10,9 +10,9 @@ import re
 import pytest
 
 from planner.languages.writing import write
-from planner.verify.context import Context
-from planner.verify.prove import Prover
-from planner.verify.rules import handshake, synchronisation
+from planner.proof.context import Context
+from planner.proof.prove import Prover
+from planner.proof.rules import handshake, synchronisation
 from tests.languages.writing import krl_job
 
 KUKAS = ("kr10_r1100", "kr10_r1100")

@@ -9,12 +9,12 @@ import re
 import numpy as np
 import pytest
 
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests.languages.krl import krl_job
 from tests.languages.krl.krl_mutants import MUTATORS
 from tests.languages.krl.krl_panel_mutants import OLDER
-from tests.verify import provers
-from tests.verify.provers import prover
+from tests.proof import provers
+from tests.proof.provers import prover
 
 SAMPLE = 1
 FULL = 12

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.verify.registry import Texts, pick
+from tests.proof.registry import Texts, pick
 
 TASKS = (1, 2)
 MOVE = re.compile(

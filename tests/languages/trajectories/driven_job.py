@@ -11,7 +11,7 @@ import json
 
 from planner.languages.writing import write
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import held_job, small_job
+from tests.proof import held_job, small_job
 
 BOW, BENT = "straight.trajectory.jsonl", "small.trajectory.jsonl"
 COUNT = 12

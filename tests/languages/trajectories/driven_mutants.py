@@ -10,8 +10,8 @@ from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
 from planner.languages.trajectories.writer.straight_ways import Driven, solved
 from tests.languages.trajectories.driven_job import rows_of, sealed, written
-from tests.verify import held_job
-from tests.verify.registry import Table, into, pick
+from tests.proof import held_job
+from tests.proof.registry import Table, into, pick
 
 MUTATORS: Table = {}
 """Of either job."""

@@ -11,10 +11,10 @@ import pytest
 from planner.issues import TandemError
 from planner.languages.trajectories.writer import curves, program, rows, straight_ways
 from planner.languages.writing import write
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests.languages.trajectories import driven_job
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import small_job
+from tests.proof import small_job
 
 JOBS = {
     "bow": (driven_job.bow_problem, straight_job.claims, lambda: straight_job.plan(driven_job.COUNT)),

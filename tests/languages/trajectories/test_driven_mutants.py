@@ -15,14 +15,13 @@ from planner.claims.claim import StraightWire
 from planner.geometry.arrays import inverse
 from planner.languages.trajectories.reader import rows as rows_of_text
 from planner.programs import job
-from planner.verify.context import Context
-from planner.verify.prove import Prover
-from planner.verify.replay import moves
-from planner.verify.trajectories import tool_speeds
+from planner.proof.context import Context
+from planner.proof.prove import Prover
+from planner.proof.replay import moves, tool_speeds
 from tests.languages.trajectories import driven_job
 from tests.languages.trajectories.driven_mutants import BENT, HELD, MUTATORS
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import held_job, provers, small_job
+from tests.proof import held_job, provers, small_job
 
 FULL = 12
 JOBS = {

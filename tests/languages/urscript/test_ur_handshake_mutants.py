@@ -12,10 +12,11 @@ import pytest
 
 from planner.issues import TandemError
 from planner.languages.writing import write
-from planner.verify.context import Context
-from planner.verify.prove import Prover
-from planner.verify.rules import handshake as rules_handshake
-from planner.verify.rules import moves_and_settings, synchronisation, waiting_time
+from planner.proof.context import Context
+from planner.proof.prove import Prover
+from planner.proof.rules import handshake as rules_handshake
+from planner.proof.rules import moves as moves_and_settings
+from planner.proof.rules import synchronisation, waiting_time
 from tests.languages.urscript import ur_pair
 
 FORMS = [("four_phase", 3), ("four_phase", 1)]

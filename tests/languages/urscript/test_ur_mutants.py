@@ -13,13 +13,13 @@ import pytest
 from planner.geometry.arrays import from_rpy
 from planner.languages.urscript.writer import program, syntax
 from planner.languages.writing import write
-from planner.verify import result
-from planner.verify.prove import Prover
+from planner.proof import verdict
+from planner.proof.prove import Prover
 from tests import urdf_text
 from tests.languages.urscript import ur_job
 from tests.languages.urscript.ur_mutants import FILE, MUTATORS
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import provers
+from tests.proof import provers
 
 SAMPLE = 1
 FULL = 12
@@ -65,9 +65,9 @@ def test_comments_and_white_space_change_nothing():
     other = {FILE: text}
     assert text != programs[FILE]
     assert prover().prove(other).ok
-    assert not result.same_program(programs, {FILE: text.replace("t=0.72023", "t=0.72024", 1)})
+    assert not verdict.same_program(programs, {FILE: text.replace("t=0.72023", "t=0.72024", 1)})
     bare = {FILE: re.sub(r"\r\n#.*", "", programs[FILE])}
-    assert result.same_program(programs, bare)
+    assert verdict.same_program(programs, bare)
 
 
 def turned():

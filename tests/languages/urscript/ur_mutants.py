@@ -8,7 +8,7 @@ import re
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.verify.registry import Table, into, pick
+from tests.proof.registry import Table, into, pick
 
 FILE = "left/straight.script"
 _POSE = re.compile(r"p\[([^\]]*)\]")

@@ -21,11 +21,11 @@ from planner.claims.vocabulary import (
 from planner.geometry.arrays import from_rpy
 from planner.languages.writing import write
 from planner.problem import Arm, Controller
+from planner.proof.kinematics import arm_model, inverse_kinematics
 from planner.targets import Action
 from planner.tooling import wire_holder
-from planner.verify.replay import arm_model, inverse_kinematics
 from tests import urdf_text
-from tests.verify import small_job
+from tests.proof import small_job
 
 ARMS = ("left", "right")
 BASES = {

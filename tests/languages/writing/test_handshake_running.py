@@ -12,7 +12,7 @@ from planner.claims.vocabulary import PartnerSignals
 from planner.languages.writing import handshake, write
 from planner.targets import Action
 from tests.languages.writing import krl_job, synthetic
-from tests.verify import handshake_job
+from tests.proof import handshake_job
 
 KUKA, ABB = "kr10_r1100", "irb140"
 

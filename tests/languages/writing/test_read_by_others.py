@@ -19,7 +19,7 @@ from planner.languages.writing.write import programs
 from tests.languages.writing import krl_job
 from tests.processes.forming.proof import forming_job
 from tests.processes.hotwire.proof import bead_job, straight_job
-from tests.verify import handshake_job, held_job, planner_jobs, small_job
+from tests.proof import handshake_job, held_job, planner_jobs, small_job
 
 PYTHON, GRAMMAR = (os.environ.get(f"TANDEM_OTHERS_{name}", "") for name in ("PYTHON", "KRL"))
 """The Python that has ``rapidchecker`` and ANTLR's runtime; the folder of the parser that ANTLR made."""

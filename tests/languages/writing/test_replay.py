@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from planner.programs import job
 from planner.programs import job as setups
+from planner.proof.replay import playback
 from planner.targets import Action
-from planner.verify.replay import playback
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import programs
 

@@ -23,8 +23,8 @@ from planner.motion.trajectory.timing import (
     parameterise_drake,
 )
 from planner.problem import Settings
+from planner.proof.replay import moves as replay_moves
 from planner.targets import Targets
-from planner.verify.replay import moves as replay_moves
 from tests.motion.scenes import HIGH, one_arm, s_curve
 
 

@@ -16,10 +16,10 @@ from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
 from planner.issues import Severity, TandemError
 from planner.problem import Formed, Part
+from planner.proof.part_files.meshes import read_points
 from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.scan import cloud, deviation, freedoms
 from planner.shopfloor.scan.cloud import Cloud
-from planner.verify.files.meshes import read_points
 from tests import small_forming
 from tests.processes.forming.plan.shapes import pit
 from tests.shopfloor.scan.made_scan import Field, MadeScan, made_scan, write_ply

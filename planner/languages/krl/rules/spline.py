@@ -2,7 +2,7 @@
 
 All other rules hold with that much less room.
 
-The replay goes straight from point to point (:mod:`planner.verify.replay.moves`). A controller's
+The replay goes straight from point to point (:mod:`planner.proof.replay.moves`). A controller's
 curve may be elsewhere, by :mod:`planner.languages.krl.reader.spline_curve`; :class:`Allowance` says by how
 much at most, and :func:`tightened` takes it off clearance, margins, tolerances and feeds, once and
 for all rules.
@@ -27,10 +27,10 @@ from planner.processes.milling import claims
 from planner.processes.milling.claims import SafeWays, SparesPart
 from planner.programs.job import TaskText
 from planner.programs.steps import JointTarget, MoveStep, PassedTarget, poses
-from planner.verify.context import Context, Outcome, at_step, mm, rule
-from planner.verify.replay import arm_model
-from planner.verify.replay.moves import ACCURACY, ACCURACY_TURN
-from planner.verify.rules.robot_motion import TCP_SLACK
+from planner.proof.context import Context, Outcome, at_step, mm, rule
+from planner.proof.kinematics import arm_model
+from planner.proof.replay.moves import ACCURACY, ACCURACY_TURN
+from planner.proof.rules.robot_motion import TCP_SLACK
 
 SPLINE: Final = "verify.spline"
 """Code of this rule."""

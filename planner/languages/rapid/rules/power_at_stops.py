@@ -14,7 +14,7 @@ from planner.claims import vocabulary
 from planner.problem import Controller
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.text import Row
-from planner.verify.context import Context
+from planner.proof.context import Context
 
 POWER_MODULE: Final = "TandemPower"
 """Name of the module that switches outputs off and on at stops."""

@@ -27,14 +27,14 @@ from planner.languages.trajectories.reader.rows import (
 from planner.problem import Stock
 from planner.programs.job import TaskText
 from planner.programs.steps import PassedTarget
-from planner.verify.context import Context, Outcome, at_sample, at_step, mm, rule
-from planner.verify.programs.operator_dialogue import on_panel
-from planner.verify.replay.arm_model import machine_of
-from planner.verify.replay.driven_speed import settling_share
-from planner.verify.replay.moves import cubic, driven_knots
-from planner.verify.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR, MASS_ERROR
-from planner.verify.trajectories.tool_speeds import SLOW, tool_speeds
-from planner.verify.trajectories.tool_speeds import STANDS as STANDS_STILL
+from planner.proof.context import Context, Outcome, at_sample, at_step, mm, rule
+from planner.proof.dialogue import on_panel
+from planner.proof.kinematics.arm_model import machine_of
+from planner.proof.replay.driven_speed import settling_share
+from planner.proof.replay.moves import cubic, driven_knots
+from planner.proof.replay.tool_speeds import SLOW, tool_speeds
+from planner.proof.replay.tool_speeds import STANDS as STANDS_STILL
+from planner.proof.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR, MASS_ERROR
 
 SAME_POSTURE: Final = 1e-9
 """How far [rad] two numbers of one place may differ."""

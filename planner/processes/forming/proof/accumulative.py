@@ -21,7 +21,7 @@ from planner.processes.forming.claims import FormsByTable
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.shapes import Overhead, spread_over
 from planner.processes.forming.proof.state import Track, pieces, track
-from planner.verify.context import Context
+from planner.proof.context import Context
 
 WALL_ANGLE_STEP = np.deg2rad(0.01)
 """Wall angles [rad] for which the wanted position and gap are tabled."""

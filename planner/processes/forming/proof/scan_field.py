@@ -18,7 +18,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, Mesh
 from planner.processes.forming.proof import springback_bounds
 from planner.processes.forming.proof.shapes import Overhead
 from planner.processes.forming.proof.springback_file import Measured
-from planner.verify.files.meshes import read_points
+from planner.proof.part_files.meshes import read_points
 
 MOST_POINTS = 300_000
 """Points of a scan that are looked at; of more every so manieth."""

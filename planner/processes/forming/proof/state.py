@@ -22,9 +22,9 @@ from planner.processes.forming.proof.level import OneLevel, now
 from planner.processes.forming.proof.level import told as levels_told
 from planner.processes.forming.proof.released import Released, Told, released, told
 from planner.processes.forming.proof.shapes import Feature, PartShapes, in_order
+from planner.proof.context import Context
+from planner.proof.replay.motion import Poses, Rows, during
 from planner.runtime.executor import SERIAL, Executor
-from planner.verify.context import Context
-from planner.verify.replay.motion import Poses, Rows, during
 
 _BLOCK_SAMPLES = 32
 """Samples of a way that are bounded as one."""

@@ -22,8 +22,8 @@ from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.proof.face import Face, apart, least_gap
 from planner.processes.forming.proof.state import ByRow, Formed, Forming
 from planner.processes.hotwire.proof.cut_surface import areas, divided, vertex_normals
-from planner.verify.replay.motion import Runs
-from planner.verify.result import CutFace
+from planner.proof.replay.motion import Runs
+from planner.proof.verdict import CutFace
 
 SAME_LEVEL = 1e-5
 """Triangles all of whose corners are so near to a level [m] are flat there."""

@@ -27,7 +27,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import small_pieces
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.verify.result import CutFace
+from planner.proof.verdict import CutFace
 
 SAMPLE_EDGE = 0.005
 """Largest edge of the triangles that the wanted face is sampled with [m]."""

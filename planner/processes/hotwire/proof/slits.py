@@ -20,8 +20,8 @@ from planner.claims.claim import Contour, CutsSurface, LeadsFrom, SlitsAllowed
 from planner.claims.vocabulary import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.processes.hotwire.proof.wire_motion import Wire
-from planner.verify.context import Context
-from planner.verify.replay.motion import local
+from planner.proof.context import Context
+from planner.proof.replay.motion import local
 
 PLACES_TRIED: Final = 36
 """Places of a contour at which slits are tried."""

@@ -14,7 +14,7 @@ from planner.claims.claim import StraightWire, WireJoins
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, log_rotation
 from planner.problem import Stock
 from planner.processes.hotwire.proof.rod import Rod, RodError, RodPath, follow, mount
-from planner.verify.context import Context, Phase
+from planner.proof.context import Context, Phase
 
 ROD_SEGMENTS = 64
 """Segments of the rod that stands for a wire."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.processes.milling.claims import MillsAlong
-from planner.verify.replay.moves import ACCURACY
+from planner.proof.replay.moves import ACCURACY
 
 Row = list[float]
 

@@ -23,10 +23,10 @@ from planner.problem import Stock
 from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.processes.milling.proof.following import Followed, follow, rows_to_check
 from planner.processes.milling.proof.wanted_ways import down, up
+from planner.proof.context import Context
+from planner.proof.replay.motion import during
 from planner.runtime.executor import SERIAL, Executor
 from planner.tooling import Cutter, Mill
-from planner.verify.context import Context
-from planner.verify.replay.motion import during
 
 Spaced = tuple[FloatArray, FloatArray, IntArray]
 """Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""

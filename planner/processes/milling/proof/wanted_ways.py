@@ -35,8 +35,8 @@ from planner.processes.milling.proof.gcode_lines import UnreadableError
 from planner.processes.milling.proof.gcode_moves import Way
 from planner.processes.milling.proof.surface_passes import Laid, Places
 from planner.programs.job import MILL
+from planner.proof.part_files import UNITS, UnreadError, curves, rhino
 from planner.tooling import Cutter
-from planner.verify.files import UNITS, UnreadError, curves, rhino
 
 LEAST_PLUNGE = 2e-3
 """Least way [m] down to a pass and up from it."""

@@ -23,8 +23,8 @@ from planner.processes.milling.proof.surface_passes import Laid
 from planner.processes.milling.proof.wanted_ways import NotThereError, curves_of, points
 from planner.processes.trim.claims import TrimOutline, TrimsSheet, slot_names
 from planner.processes.trim.proof.rough_face import levelled, noise_turn
-from planner.verify.files import UnreadError
-from planner.verify.files.sheets import sheet_face, tolerance_of
+from planner.proof.part_files import UnreadError
+from planner.proof.part_files.sheets import sheet_face, tolerance_of
 
 TRIM = "trim"
 """The kind of segments in which a torch cuts."""

@@ -19,9 +19,9 @@ from planner.processes.forming.proof.state import Forming
 from planner.processes.milling.proof.tool_motion import Milling, Track
 from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.processes.trim.proof.outlines import TRIM, Curve, Feet, SheetSide
+from planner.proof.context import Context
+from planner.proof.part_files import UnreadError
 from planner.tooling import Torch
-from planner.verify.context import Context
-from planner.verify.files import UnreadError
 
 SIGHT = 20e-3
 """What is farther off a torch than this [m] is not told apart."""

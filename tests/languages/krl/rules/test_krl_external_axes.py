@@ -16,12 +16,12 @@ from planner.cell.kinematics import forward
 from planner.geometry.arrays import inverse
 from planner.pipeline import Outcome
 from planner.processes import registry
+from planner.proof.context import Context
+from planner.proof.prove import Prover
+from planner.proof.rules import external_axes
 from planner.report import scene
-from planner.verify.context import Context
-from planner.verify.prove import Prover
-from planner.verify.rules import external_axes
 from tests import table_job, track_job
-from tests.verify.provers import prover_of
+from tests.proof.provers import prover_of
 
 THERE = "65.0000"
 """The second station of the table as the text has it."""

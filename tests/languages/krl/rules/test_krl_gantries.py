@@ -13,13 +13,13 @@ import pytest
 
 from planner.cell.kinematics import forward
 from planner.processes import registry
+from planner.proof.context import Context
+from planner.proof.prove import Prover
+from planner.proof.rules import external_axes
 from planner.report import scene, setup_sheet
-from planner.verify.context import Context
-from planner.verify.prove import Prover
-from planner.verify.rules import external_axes
 from tests import gantry_job
 from tests.languages.krl.rules.test_krl_external_axes import broken, changed, first, refused
-from tests.verify.provers import prover_of
+from tests.proof.provers import prover_of
 
 STAND, LEG, BEFORE = "E1 700.0000,E2 100.0000", "E1 700.0000,E2 0.0000", "E1 -400.0000,E2 0.0000"
 """The second station as the text has it, what lies between it and those before and behind, and the first

@@ -12,12 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.processes import registry
+from planner.proof.context import Context
+from planner.proof.prove import Prover
 from planner.report import scene, setup_sheet
-from planner.verify.context import Context
-from planner.verify.prove import Prover
 from tests import positioner_job
 from tests.languages.krl.rules.test_krl_external_axes import LOOK, broken, changed, first, refused
-from tests.verify.provers import prover_of
+from tests.proof.provers import prover_of
 
 TURN, TILT = "-180.0000", "-65.0000"
 """The second station as the text has it: E1 and E2."""

@@ -13,9 +13,9 @@ from planner.issues import TandemError
 from planner.languages.krl.writer import spline_blocks
 from planner.languages.writing import write
 from planner.processes import registry
+from planner.proof import prove
+from planner.proof.rules import clearance
 from planner.reading.controller import ControllerFile, controllers
-from planner.verify import prove
-from planner.verify.rules import clearance
 from tests import small_problem
 from tests.languages.krl import spline_job
 from tests.languages.krl.spline_job import MAIN, MOVES, broken

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 import planner
 from planner.catalogue.robots import urdf_path
 from planner.geometry.arrays import FloatArray
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests import following_job, track_job
 from tests.languages.krl.rules.test_krl_external_axes import broken, changed, first, refused
-from tests.verify.provers import prover_of
+from tests.proof.provers import prover_of
 
 SLIN = re.compile(r"(SLIN \{[^\n]*?)(,E1 )(-?[0-9.]+)(\}[^\n]*)")
 """A straight move with the value of the track."""

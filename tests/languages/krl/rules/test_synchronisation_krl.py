@@ -8,7 +8,7 @@ import pytest
 from planner.languages.krl.reader import reader
 from planner.languages.krl.reader.flow import Signals
 from planner.programs.steps import MoveStep
-from planner.verify.rules import synchronisation
+from planner.proof.rules import synchronisation
 from tests.languages.krl.reader.wall_program import MAIN, MOVES, OLDER, read
 
 HEAD = (

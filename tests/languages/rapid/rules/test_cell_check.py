@@ -11,10 +11,10 @@ import pytest
 
 from planner.geometry.arrays import from_rpy, to_quaternion
 from planner.languages.writing import write
-from planner.verify.prove import Prover
-from tests.verify import handshake_job, small_job
-from tests.verify.controller_mutants import swap, without
-from tests.verify.provers import ABB, JOBS, broken, prover
+from planner.proof.prove import Prover
+from tests.proof import handshake_job, small_job
+from tests.proof.controller_mutants import swap, without
+from tests.proof.provers import ABB, JOBS, broken, prover
 
 COUNT = 12
 RULE = "verify.cell_check"

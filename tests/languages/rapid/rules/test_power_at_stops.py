@@ -19,13 +19,13 @@ from planner.languages.writing import write
 from planner.problem import Interlock, PowerOutput
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.text import krl_lines, rapid_words
+from planner.proof.context import Context
+from planner.proof.rules.controller_files import controller_files
 from planner.report import setup_sheet
 from planner.tooling import torch
-from planner.verify.context import Context
-from planner.verify.rules.controller_files import controller_files
 from tests.languages.writing import krl_job as post_job
-from tests.verify.rules.test_controller_files import ARC
-from tests.verify.stop_routines import Routines, Submit
+from tests.proof.rules.test_controller_files import ARC
+from tests.proof.stop_routines import Routines, Submit
 
 HOME, LEFT = "controller/T_ROB1/", "controller/left/"
 MODULE, SYS, EIO = "TandemPower.sys", "SYS.cfg", "EIO.cfg"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 
 from planner.programs import job
-from planner.verify.rules import text as text_rules
+from planner.proof.rules import text as text_rules
 from tests.languages.krl import krl_job
 from tests.languages.rapid.rapid_edits import MOVE, name
-from tests.verify import small_job
-from tests.verify.provers import prover
+from tests.proof import small_job
+from tests.proof.provers import prover
 
 COUNT = 6
 CUTS = name("Cut1", 1)

@@ -11,8 +11,8 @@ import pytest
 from planner import pipeline
 from planner.issues import TandemError
 from planner.languages.writing import write
-from planner.verify.prove import Prover
-from tests.verify import provers, small_job
+from planner.proof.prove import Prover
+from tests.proof import provers, small_job
 
 COUNT = 12
 

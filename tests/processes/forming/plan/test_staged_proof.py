@@ -25,8 +25,8 @@ from planner.processes.trim.claims import TrimsSheet
 from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.rules.forming_holes import forming_holes
 from planner.processes.trim.proof.torch_motion import Trimming
-from planner.verify.context import Context
-from planner.verify.prove import Prover
+from planner.proof.context import Context
+from planner.proof.prove import Prover
 from tests.processes.forming.plan.staged import DEPTHS, SUMP_RADIUS, problem
 from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.test_proof import moved

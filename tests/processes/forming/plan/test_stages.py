@@ -21,7 +21,7 @@ from planner.processes.forming.plan.stages import formed_sheet, hole_issues, sho
 from planner.processes.forming.proof.rules.part import forming_part
 from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.plan.job import TrimJob
-from planner.verify.context import Context
+from planner.proof.context import Context
 from tests.processes.forming.plan.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
 from tests.processes.trim.plan.small_trim import data
 from tests.small_forming import die, dish, dish_with_a_dome, upside_down, write

@@ -23,10 +23,10 @@ from planner.processes.forming.plan import two_point
 from planner.processes.forming.plan.operation import Die, Forming, die_mesh, with_die
 from planner.processes.forming.plan.process_plan import Work, lay, work
 from planner.processes.forming.plan.sheet_state import states
-from planner.verify.prove import Prover
-from planner.verify.result import Proof
+from planner.proof.prove import Prover
+from planner.proof.verdict import Proof
 from tests import line_ends
-from tests.verify.provers import broken
+from tests.proof.provers import broken
 
 HERE = Path(pipeline.__file__).resolve().parents[3] / "problems" / "dome_tpif"
 MAIN = "T_ROB1/TandemMain_1.mod"

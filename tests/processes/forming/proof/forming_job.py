@@ -29,7 +29,7 @@ from planner.processes.forming.claims import (
 from planner.targets import Action
 from planner.tooling import ball_tool, profile
 from tests import line_ends
-from tests.verify.by_hand import Operation, home_of, operation_plan
+from tests.proof.by_hand import Operation, home_of, operation_plan
 
 DIGEST = "ef56" * 16
 ARMS = ("left", "right")

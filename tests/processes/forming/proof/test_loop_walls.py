@@ -17,7 +17,7 @@ from planner.geometry.units import MM
 from planner.issues import Severity, TandemError
 from planner.processes.forming.proof import loop_walls
 from tests import small_forming
-from tests.verify import planner_faults
+from tests.proof import planner_faults
 
 STEP = 0.5 * MM
 SLOPE = 0.05

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from planner.processes.forming.proof import swept
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.state import Centres
-from planner.verify.prove import Prover
-from planner.verify.replay.motion import Poses
+from planner.proof.prove import Prover
+from planner.proof.replay.motion import Poses
 from tests.languages.rapid.rapid_edits import segment, shifted
 from tests.processes.forming.proof import forming_job as job
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.geometry.arrays import exp_rotation, from_quaternion, to_quaternion
 from tests.languages.rapid.rapid_edits import name
-from tests.verify.registry import Texts, pick
+from tests.proof.registry import Texts, pick
 
 MOVE = re.compile(
     r"MoveL \[\[(?P<pos>[^\]]*)\],\[(?P<orient>[^\]]*)\],\[(?P<conf>[^\]]*)\],\[(?P<ext>[^\]]*)\]\]"

@@ -28,7 +28,7 @@ from tests.processes.hotwire.proof.bow_edits import (
     tilted,
     timed,
 )
-from tests.verify.registry import Table, Texts, mutator, pick
+from tests.proof.registry import Table, Texts, mutator, pick
 
 STRAIGHT: Table = {}
 HELD: Table = {}

@@ -29,7 +29,7 @@ from planner.plans import Plan
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
 from planner.tooling import bow
 from tests import line_ends, urdf_text
-from tests.verify.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of
+from tests.proof.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of
 
 TOLERANCE = 0.0003
 MARGIN = 0.02

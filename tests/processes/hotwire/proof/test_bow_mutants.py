@@ -8,10 +8,10 @@ import functools
 import numpy as np
 import pytest
 
-from planner.verify.prove import RULE_CODES, Prover
+from planner.proof.prove import RULE_CODES, Prover
 from tests.processes.hotwire.proof import straight_job
 from tests.processes.hotwire.proof.bow_mutants import HELD, STRAIGHT
-from tests.verify import held_job, provers
+from tests.proof import held_job, provers
 
 COUNT = 12
 SAMPLE = 1

@@ -20,8 +20,8 @@ from planner.processes.hotwire.plan.straight import cut
 from planner.processes.hotwire.plan.straight.offset import Beside
 from planner.processes.hotwire.proof.cut_surface import unreached
 from planner.processes.hotwire.proof.rules import cut_part
-from planner.verify.prove import prove
-from planner.verify.result import CutFace
+from planner.proof.prove import prove
+from planner.proof.verdict import CutFace
 from tests.processes.hotwire.plan import foam_blocks as blocks
 from tests.processes.hotwire.proof.rules.test_straight_wire_slits import RIM, problem
 

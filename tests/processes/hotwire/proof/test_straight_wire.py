@@ -19,11 +19,11 @@ from planner.processes.hotwire.proof.rules.straight_wire import free_lengths, gu
 from planner.processes.hotwire.proof.wire_motion import depth_in
 from planner.programs.job import letters
 from planner.programs.text import segment_of_name
-from planner.verify.context import Context
-from planner.verify.prove import Prover
-from planner.verify.replay.motion import local
+from planner.proof.context import Context
+from planner.proof.prove import Prover
+from planner.proof.replay.motion import local
 from tests.processes.hotwire.proof import straight_job
-from tests.verify import held_job
+from tests.proof import held_job
 
 COUNT = 12
 

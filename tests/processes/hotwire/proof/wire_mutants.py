@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.verify.controller_mutants import swap, without
-from tests.verify.registry import Texts
-from tests.verify.registry import named as mutator
+from tests.proof.controller_mutants import swap, without
+from tests.proof.registry import Texts
+from tests.proof.registry import named as mutator
 
 Mutator = Callable[[np.random.Generator, Texts, str], Texts]
 ABB: dict[str, Mutator] = {}

@@ -8,8 +8,8 @@ from pathlib import Path
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
-from planner.verify.prove import Prover
-from planner.verify.result import Proof
+from planner.proof.prove import Prover
+from planner.proof.verdict import Proof
 from tests.processes.milling.plan.small_mill import problem
 
 Programs = dict[str, str]

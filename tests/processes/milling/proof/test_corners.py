@@ -14,8 +14,8 @@ from planner.geometry.arrays import FloatArray
 from planner.processes import registry
 from planner.processes.milling.proof import following, tool_motion
 from planner.processes.milling.proof.tool_motion import Track, _with_bends
-from planner.verify.prove import Prover
-from planner.verify.replay import moves, playback
+from planner.proof.prove import Prover
+from planner.proof.replay import moves, playback
 from tests.test_sharp_turns import ABB, CELLS, KUKA, MILLED
 
 PHASES = np.linspace(3.7e-3, 4.3e-3, 12)

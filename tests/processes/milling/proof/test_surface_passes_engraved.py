@@ -24,9 +24,9 @@ from planner.processes.milling.plan.job import MillingJob
 from planner.processes.milling.proof import wanted_ways
 from planner.processes.milling.proof.following import follow
 from planner.processes.milling.proof.surface_passes import Laid
+from planner.proof.prove import Prover
+from planner.proof.verdict import Proof
 from planner.tooling import Cutter
-from planner.verify.prove import Prover
-from planner.verify.result import Proof
 from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
 
 WAVE = {"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}

@@ -22,7 +22,7 @@ from planner.processes.milling.plan.job import MillingJob
 from planner.processes.milling.plan.tool_path import Run, ends
 from planner.processes.milling.proof import surface_passes
 from planner.processes.milling.proof.tool_motion import in_block
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests import line_ends
 from tests.processes.milling.plan.small_mill import WALL, problem
 

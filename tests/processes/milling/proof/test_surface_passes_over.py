@@ -19,7 +19,7 @@ from planner.processes.milling.plan import job as milling_job
 from planner.processes.milling.plan import point_cut
 from planner.processes.milling.plan.job import MillingJob
 from planner.processes.milling.proof.surface_passes import OverFace
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests import line_ends
 from tests.processes.milling.plan.small_mill import BALL, PANEL, problem
 from tests.processes.milling.proof.test_surface_passes_flank import dense

@@ -18,9 +18,9 @@ from planner.processes import registry
 from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.torch_motion import Trimming
-from planner.verify.context import Context
-from planner.verify.prove import TRIM_RULES, Prover
-from planner.verify.result import Proof
+from planner.proof.context import Context
+from planner.proof.prove import TRIM_RULES, Prover
+from planner.proof.verdict import Proof
 from tests import urdf_text
 from tests.small_forming import CELLS, dish
 from tests.small_forming import write as write_forming

@@ -17,9 +17,9 @@ from planner.processes.trim.claims import TrimsSheet
 from planner.processes.trim.plan.operation import Trim, every_outline
 from planner.processes.trim.proof.outlines import drawn, expanded, order, worked_out
 from planner.processes.trim.proof.torch_motion import Trimming
-from planner.verify.context import Context
-from planner.verify.files import UnreadError
-from planner.verify.prove import TRIM_RULES
+from planner.proof.context import Context
+from planner.proof.part_files import UnreadError
+from planner.proof.prove import TRIM_RULES
 from tests.processes.trim.plan.small_trim import Job, problem
 from tests.rhino_files import Model
 

@@ -16,8 +16,8 @@ from planner.issues import Issue, TandemError
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
+from planner.proof.prove import Prover
 from planner.tooling import Blade, knife
-from planner.verify.prove import Prover
 from tests import urdf_text
 from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import KUKA, TRIM, Job, data

@@ -33,10 +33,10 @@ from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.rules.mill import _beside, trim_mill, trim_spindle
 from planner.processes.trim.proof.rules.slots import trim_cut
 from planner.processes.trim.proof.torch_motion import Trimming
+from planner.proof.context import Context
+from planner.proof.prove import Prover
 from planner.targets import ScrewFreedom
 from planner.tooling import mill
-from planner.verify.context import Context
-from planner.verify.prove import Prover
 from tests import urdf_text
 from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import KUKA, MILL, OUTLINES, Job, data, milled, problem
@@ -48,9 +48,9 @@ from tests.processes.trim.plan.test_proof import (
     timed,
     without_moves,
 )
+from tests.proof import handshake_job
 from tests.small_forming import die, dish
 from tests.small_forming import write as write_forming
-from tests.verify import handshake_job
 
 ROUND, WALL = OUTLINES[0], OUTLINES[1]
 MAIN = "operation_1"

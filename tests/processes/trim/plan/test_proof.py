@@ -18,7 +18,7 @@ from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.rules.slots import _closed
 from planner.processes.trim.proof.torch_motion import Trimming, Way
-from planner.verify.context import Context
+from planner.proof.context import Context
 from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import Job
 

@@ -16,7 +16,7 @@ from planner.languages.urscript.reader.syntax_tree import AwaitArc, GuardArc
 from planner.languages.writing import write as post
 from planner.motion import solve
 from planner.processes import registry
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests.processes.trim.plan.small_trim import OUTLINES, Job, data, of_ur
 from tests.small_forming import dish
 from tests.small_forming import write as write_forming

@@ -30,10 +30,10 @@ from planner.processes.forming.proof.state import SAMPLES_AT_ONCE, ByRow, Formed
 from planner.processes.forming.proof.steps_down import LOOP_SHARE, emptiest
 from planner.processes.forming.proof.swept import Head, HeadWay, Inside, insides, least, levels
 from planner.processes.hotwire.proof.cut_surface import divided
+from planner.proof.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.proof.verdict import CutFace
 from planner.runtime.executor import Executor
 from planner.runtime.memory import release_memory
-from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
-from planner.verify.result import CutFace
 
 NOTHING_FORMED = "nothing is formed"
 """Why rules about forming have not run."""

@@ -18,10 +18,10 @@ from planner.processes.hotwire.proof.cut_surface import unreached
 from planner.processes.hotwire.proof.rules.wire import wire_issue
 from planner.processes.hotwire.proof.slits import SLIT_ROUNDING, Slit, off_lead, slits, way_in
 from planner.processes.hotwire.proof.wire_motion import Wire
+from planner.proof.context import FEED_SLACK, Context, Outcome, mm, rule
+from planner.proof.replay.motion import during, local
+from planner.proof.verdict import CutFace
 from planner.tooling import Bow, Tool
-from planner.verify.context import FEED_SLACK, Context, Outcome, mm, rule
-from planner.verify.replay.motion import during, local
-from planner.verify.result import CutFace
 
 CLAMP_ROUNDING = 1e-4
 """What rounded targets may take from a margin [m]."""

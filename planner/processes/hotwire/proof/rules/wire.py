@@ -19,9 +19,9 @@ from planner.processes.hotwire.proof.wire_motion import Wire, end_distances
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.job import TaskText, controllers
 from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
-from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
-from planner.verify.replay.motion import steps_across
-from planner.verify.trajectories.tool_speeds import LEAST_PART, STANDS, tool_speeds
+from planner.proof.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
+from planner.proof.replay.motion import steps_across
+from planner.proof.replay.tool_speeds import LEAST_PART, STANDS, tool_speeds
 
 MOST_RESIDUAL = 1e-6
 """A wire's shape is in balance where no residual of its equations is larger than this."""

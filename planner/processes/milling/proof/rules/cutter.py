@@ -49,10 +49,10 @@ from planner.processes.milling.proof.tool_motion import (
 )
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.job import MILL
+from planner.proof.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.proof.verdict import CutFace
 from planner.runtime.executor import SERIAL
 from planner.tooling import Mill
-from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
-from planner.verify.result import CutFace
 
 MILL_PATH = "verify.mill_path"
 """Code of the rule about ways of cutters."""

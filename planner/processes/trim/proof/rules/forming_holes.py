@@ -20,8 +20,8 @@ from planner.processes.forming.proof.shapes import PartShapes, Shape
 from planner.processes.forming.proof.state import Formed, Forming, pieces
 from planner.processes.trim.claims import TrimOutline, TrimsSheet
 from planner.processes.trim.proof.outlines import drawn, winding
-from planner.verify.context import Context, Outcome, at_sample, mm, rule
-from planner.verify.files import UnreadError
+from planner.proof.context import Context, Outcome, at_sample, mm, rule
+from planner.proof.part_files import UnreadError
 
 FORMING_HOLES = "verify.forming_holes"
 """Code of this rule."""

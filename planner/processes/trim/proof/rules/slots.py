@@ -34,9 +34,9 @@ from planner.processes.trim.proof.torch_motion import (
 from planner.programs.job import TaskText
 from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
+from planner.proof.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
+from planner.proof.part_files import UnreadError
 from planner.tooling import Knife, Mill, Torch
-from planner.verify.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
-from planner.verify.files import UnreadError
 
 NOTHING_TRIMMED = "nothing is trimmed"
 """Why rules about trimming have not run."""

@@ -10,10 +10,10 @@ import pytest
 
 from planner.claims.vocabulary import Segment
 from planner.processes.forming.claims import FollowsOpposite, SupportsBorder, ToolsLean
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests.languages.rapid.rapid_edits import moves, name, segment, shifted, tilted, timed
 from tests.processes.forming.proof import forming_job as job
-from tests.verify.provers import broken
+from tests.proof.provers import broken
 
 TASKS = (1, 2)
 ROW = 6

@@ -16,11 +16,11 @@ from planner.processes import registry
 from planner.processes.forming.claims import FormsByTable
 from planner.processes.forming.plan.paths.adsif_response import BUILT_IN_FILE
 from planner.processes.forming.proof import accumulative
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests import line_ends, small_forming
 from tests.languages.rapid.rapid_edits import change, field, moves, segment, tilted
 from tests.processes.forming.plan import shapes
-from tests.verify.provers import broken
+from tests.proof.provers import broken
 
 TASKS = (1, 2)
 RADIUS, WALL = 14.0, 25.0

@@ -22,13 +22,13 @@ from planner.processes.forming.plan import level as one_level
 from planner.processes.forming.proof.rules import level as forming_level
 from planner.processes.forming.proof.rules import tool, two_tools
 from planner.processes.forming.proof.state import Forming
-from planner.verify.context import Context
+from planner.proof.context import Context
 from tests import small_forming
 from tests.processes.forming.plan import shapes
 from tests.processes.forming.plan.springback import level_files
 from tests.processes.forming.plan.springback import springback_files as files
+from tests.proof import planner_faults
 from tests.test_whole_forming import UPRIGHT
-from tests.verify import planner_faults
 
 PASS = "PROC form_f1()"
 

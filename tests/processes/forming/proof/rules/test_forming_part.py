@@ -19,7 +19,7 @@ from planner.processes.forming.proof.rules.claims import forming_claims
 from planner.processes.forming.proof.rules.part import forming_part
 from planner.processes.forming.proof.shapes import Shape
 from planner.processes.forming.proof.state import Forming
-from planner.verify.context import Context
+from planner.proof.context import Context
 from tests import small_forming
 from tests.processes.forming.plan import nests, shapes
 from tests.processes.forming.proof import forming_job

@@ -25,12 +25,12 @@ from planner.processes.forming.claims import ComesBack
 from planner.processes.forming.proof import elastic, released, springback_bounds, springback_file
 from planner.processes.forming.proof.rules import springback, tool, two_tools
 from planner.processes.forming.proof.state import Forming
-from planner.verify.context import Context
+from planner.proof.context import Context
 from tests import small_forming
 from tests.processes.forming.plan.springback import springback_files as files
 from tests.processes.forming.plan.test_stated_force import TABLE, by_level
+from tests.proof import planner_faults
 from tests.test_whole_forming import UPRIGHT
-from tests.verify import planner_faults
 
 FORCE = 500.0
 PASS = "PROC form_f1()"

@@ -23,7 +23,7 @@ from planner.processes.hotwire.plan.straight import job
 from planner.processes.hotwire.plan.straight.cut import Cut
 from planner.processes.hotwire.plan.straight.order import Lines
 from planner.processes.hotwire.proof import walls
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests.processes.hotwire.plan import foam_blocks as blocks
 from tests.processes.hotwire.plan.straight.test_trimmed_block import PROBLEM
 

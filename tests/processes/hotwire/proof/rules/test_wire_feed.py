@@ -10,9 +10,9 @@ import pytest
 
 from planner.issues import TandemError
 from planner.processes.hotwire.proof.rules.wire import feed_speed
-from planner.verify.prove import Prover
-from planner.verify.replay import playback
-from tests.verify import small_job
+from planner.proof.prove import Prover
+from planner.proof.replay import playback
+from tests.proof import small_job
 
 RADIUS = 0.3
 TIMES = np.array([0.0, 0.5, 1.0])

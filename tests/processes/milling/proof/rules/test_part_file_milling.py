@@ -10,7 +10,7 @@ import pytest
 
 import planner
 from planner.processes import registry
-from planner.verify.prove import Prover
+from planner.proof.prove import Prover
 from tests.processes.milling.plan import small_mill
 
 

@@ -19,8 +19,8 @@ from planner.issues import Severity, TandemError
 from planner.motion.trajectory import move_limits as planned
 from planner.processes import registry
 from planner.processes.poses.proof import pose_passing as proven
+from planner.proof.prove import Prover
 from planner.targets import Targets
-from planner.verify.prove import Prover
 from tests.processes.hotwire.proof import bead_job
 
 Texts = dict[str, str]

@@ -1,0 +1,1 @@
+"""Clearance between bodies along the replayed motion."""

@@ -1,0 +1,599 @@
+"""What the rules look at: the problem, the claims, the programs as read, and what follows from them.
+
+What follows is worked out when it is asked for. Here are also the issues of the proof with
+everything that says where they are (arm, file, line, target, time), and what to do where a plan
+breaks a rule and the rule itself knows nothing better.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import re
+from collections.abc import Callable, Collection, Mapping
+from functools import cached_property
+from typing import Generic, ParamSpec, TypeVar
+
+import numpy as np
+
+from planner.claims.claim import (
+    ArmSags,
+    Claim,
+    ContactOnlyIn,
+    CutsSurface,
+    FeedWindow,
+    FollowsRulings,
+    HoldsStock,
+    KerfWithin,
+    WireJoins,
+)
+from planner.geometry.arrays import FloatArray, IntArray, inverse
+from planner.issues import Issue
+from planner.languages.rapid.reader.syntax_tree import Data, Literal, build
+from planner.problem import END, Arm, Problem, Setup, Stock
+from planner.programs import job as job_text
+from planner.programs import job as setup_text
+from planner.programs.job import JobText, SetupClaims, Spans, Stage, TaskText
+from planner.programs.steps import BASE_FRAME, MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
+from planner.proof.kinematics import arm_model
+from planner.proof.kinematics.external_axes import outer_axes, slid
+from planner.proof.replay import bending
+from planner.proof.replay.bending import Bent
+from planner.proof.replay.motion import Motion
+from planner.proof.replay.moves import Riding
+from planner.proof.replay.playback import replay
+
+FEED_SLACK = 1.05
+"""The replay's ramps and corners may pass feeds by this factor."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What a rule found. ``worst`` and ``limit`` in ``unit``, as a person reads them. ``nothing``: why the
+    programs have nothing that the rule asks about, empty where they have."""
+
+    issues: tuple[Issue, ...] = ()
+    worst: float | None = None
+    limit: float | None = None
+    unit: str = ""
+    where: str = ""
+    nothing: str = ""
+
+
+P = ParamSpec("P")
+R_co = TypeVar("R_co", covariant=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rule(Generic[P, R_co]):
+    """A rule of the proof: the code of its issues, the kinds of claims that it proves, and the function
+    that looks. What it asks is the first paragraph of its docstring; what to do where it is broken
+    stands with its code in ``issue_codes.py``, what it needs in ``prove.py``, by its table."""
+
+    code: str
+    proves: tuple[type, ...]
+    look: Callable[P, R_co]
+
+    @property
+    def title(self) -> str:
+        """What the rule asks, in a sentence."""
+        return " ".join((self.look.__doc__ or self.code).split("\n\n")[0].split()).rstrip(".")
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R_co:
+        """What the rule finds."""
+        return self.look(*args, **kwargs)
+
+
+def rule(code: str, *proves: type) -> Callable[[Callable[P, R_co]], Rule[P, R_co]]:
+    """Makes a function a rule of that code, which proves claims of those kinds."""
+    return lambda look: Rule(code, proves, look)
+
+
+@dataclasses.dataclass(frozen=True)
+class Phase:
+    """A wire is mounted: stages ``first`` to ``last``; in the first and last of them the operator mounts it
+    and takes it off."""
+
+    first: int
+    last: int
+    claim: WireJoins
+    setup: int = 0
+
+
+class Context:
+    """One proof. Everything is worked out once, when first asked for."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        claims: Mapping[str, tuple[Claim, ...]],
+        programs: Mapping[str, str],
+        unread: tuple[Issue, ...] = (),
+        untold: tuple[Issue, ...] = (),
+    ) -> None:
+        self.problem = problem
+        self.programs = programs
+        self.by_operation = claims
+        self.unread = unread
+        self.untold = untold
+        self.claims: tuple[Claim, ...] = tuple(claim for group in claims.values() for claim in group)
+
+    def __getstate__(self) -> dict[str, object]:
+        """For another process, in which claims have other identities."""
+        return {name: value for name, value in vars(self).items() if name != "_setup_of"}
+
+    # ---- claims ----
+
+    @property
+    def wires(self) -> tuple[WireJoins, ...]:
+        """Claims about mounted wires, one for each operation that has one."""
+        return tuple(claim for claim in self.claims if isinstance(claim, WireJoins))
+
+    @property
+    def surfaces(self) -> tuple[CutsSurface, ...]:
+        """Faces that are to be cut."""
+        return tuple(claim for claim in self.claims if isinstance(claim, CutsSurface))
+
+    @property
+    def contacts(self) -> tuple[ContactOnlyIn, ...]:
+        """Where the edge may touch the stock."""
+        return tuple(claim for claim in self.claims if isinstance(claim, ContactOnlyIn))
+
+    @property
+    def feeds(self) -> tuple[FeedWindow, ...]:
+        """Feed windows by segment."""
+        return tuple(claim for claim in self.claims if isinstance(claim, FeedWindow))
+
+    @property
+    def rulings(self) -> tuple[FollowsRulings, ...]:
+        """Rulings that a straight wire must run along."""
+        return tuple(claim for claim in self.claims if isinstance(claim, FollowsRulings))
+
+    @property
+    def kerfs(self) -> tuple[KerfWithin, ...]:
+        """Bounds of the slot's width."""
+        return tuple(claim for claim in self.claims if isinstance(claim, KerfWithin))
+
+    # ---- text ----
+
+    @cached_property
+    def job(self) -> JobText:
+        """The programs as read."""
+        return job_text.read(self.problem, self.programs)
+
+    def switching(self, arms: Collection[str]) -> frozenset[str]:
+        """The tasks whose programs switch what ``arms`` work with: those of the controller of the first one
+        of them. A signal of the same name on another controller is another one."""
+        lead = next((task for task in self.job.tasks if task.arm.name in arms), None)
+        for tasks in job_text.controllers(self.problem, self.job.tasks):
+            if lead in tasks:
+                return frozenset(task.name for task in tasks)
+        return frozenset()
+
+    @property
+    def readable(self) -> bool:
+        """Whether every task has a straight way."""
+        job = self.job
+        return bool(job.tasks) and not job.faults and not job.flow and all(task.steps for task in job.tasks)
+
+    @property
+    def playable(self) -> bool:
+        """Whether the tasks pass the same synchronisation points, so that a motion follows from the text."""
+        return self.readable and bool(self.job.stages)
+
+    def data(self, task: TaskText, pattern: str) -> list[Data]:
+        """Declarations of a task whose names match a regular expression, any case."""
+        return [
+            data
+            for module in task.modules
+            for data in module.data
+            if re.fullmatch(pattern, data.name, re.IGNORECASE)
+        ]
+
+    def moves(self) -> list[tuple[int, Stage, TaskText, tuple[MoveStep, ...]]]:
+        """Moves of each stage and task that has any."""
+        return [
+            (number, stage, task, stage.moves(task.name))
+            for number, stage in enumerate(self.job.stages)
+            for task in self.job.tasks
+            if stage.moves(task.name)
+        ]
+
+    # ---- setups ----
+
+    @cached_property
+    def setups(self) -> tuple[Setup, ...]:
+        """How the cell stands, setup by setup; at last, without operations, with all axes home again."""
+        return setup_text.setups_of(self.problem)
+
+    @cached_property
+    def setup_claims(self) -> tuple[SetupClaims, ...]:
+        """The claims of each setup."""
+        return setup_text.claims_of(self.setups, self.problem, self.by_operation)
+
+    @cached_property
+    def spans(self) -> Spans:
+        """Which setup is in force at which stage."""
+        return setup_text.spans(self.setups, self.job)
+
+    @property
+    def sample_setup(self) -> IntArray:
+        """Index (S,) of the setup in force at each sample of the motion; not kept, as there are many."""
+        return np.asarray(self.spans.of_stage[self.motion.node_stage][self.motion.node])
+
+    @cached_property
+    def _setup_of(self) -> dict[int, int]:
+        return {
+            id(claim): index
+            for index, setup in enumerate(self.setup_claims)
+            for group in setup.groups
+            for claim in group
+        }
+
+    def setup_of(self, claim: Claim) -> int:
+        """Index of the setup whose operation has a claim: two setups may work on one segment."""
+        return self._setup_of[id(claim)]
+
+    def stock(self, index: int) -> Stock:
+        """The block as setup ``index`` finds it."""
+        return self.setups[index].stock
+
+    @cached_property
+    def datum(self) -> Stock:
+        """The datum block, without oversize."""
+        return dataclasses.replace(self.problem.stock, oversize=np.zeros((2, 3)))
+
+    def holder(self, index: int) -> HoldsStock | None:
+        """Who holds the block in setup ``index``, from its claims, else from the problem."""
+        stock, claims = self.stock(index), self.setup_claims[index].stock_holders
+        if stock.held_by is None:
+            return None
+        if claims:
+            return claims[0]
+        centre = np.append(0.5 * (stock.lower + stock.upper), 1.0)
+        return HoldsStock(stock.held_by, stock.grip, stock.mass or 0.0, (stock.grip @ centre)[:3])
+
+    # ---- frames ----
+
+    @cached_property
+    def declared_bases(self) -> dict[str, FloatArray | None]:
+        """The base frame that each task's text asks of the controller, None where it states none."""
+        out: dict[str, FloatArray | None] = {}
+        for task in self.job.tasks:
+            if task.krl is not None:
+                out[task.arm.name] = task.krl.base
+                continue
+            if task.trajectory is not None:
+                out[task.arm.name] = task.trajectory.base
+                continue
+            if task.script is not None:
+                out[task.arm.name] = self._foot(task.arm, task.script.base)
+                continue
+            found = [d for d in self.data(task, BASE_FRAME) if d.kind == "pose"]
+            literal = found[0].initial if len(found) == 1 else None
+            value = None
+            if isinstance(literal, Literal):
+                value = build("pose", literal.value) if literal.kind == "list" else literal.value
+            out[task.arm.name] = value
+        return out
+
+    @staticmethod
+    def _foot(arm: Arm, base: FloatArray | None) -> FloatArray | None:
+        """The base (4, 4) of a UR arm, given that which its controller counts in."""
+        if base is None:
+            return None
+        return np.asarray(base @ inverse(arm_model.machine_of(arm.data).table.base))
+
+    @cached_property
+    def stations(self) -> dict[int, dict[str, float]]:
+        """{index of an operation: {name: value [m, rad] of the axis of that name}}, as targets
+        of the text have them: those of the last move of each setup, whose others
+        :mod:`planner.proof.rules.external_axes` compares; of a track that goes along that of the last move
+        before the first straight one, and with :data:`END` that of the last move."""
+        out: dict[int, dict[str, float]] = {}
+        if not self.problem.homes:
+            return out
+        for number, _, task, moves in self.moves():
+            index = int(self.spans.of_stage[number])
+            for axis in outer_axes(task.arm, self.problem.cell.turntable):
+                name = axis.carries if axis.follow is None else f"{axis.carries}{END}"
+                found = [(name, moves[-1])]
+                if axis.follow is not None:
+                    found += [(axis.carries, move) for move in self._before_work(index, task)[-1:]]
+                for own, move in found:
+                    value = float(move.target.external[axis.column])
+                    if abs(value) < MOST_OUTER:
+                        for operation in self.setups[index].operations:
+                            out.setdefault(operation, {})[own] = axis.scale * value
+        return out
+
+    def _before_work(self, index: int, task: TaskText) -> list[MoveStep]:
+        """The moves of a task in setup ``index`` before its first straight one."""
+        own = (
+            move
+            for number, _, other, moves in self.moves()
+            if other is task and int(self.spans.of_stage[number]) == index
+            for move in moves
+        )
+        return list(itertools.takewhile(lambda move: move.by_joints, own))
+
+    @cached_property
+    def riding(self) -> tuple[dict[str, Riding], ...]:
+        """{arm: how its base rides} of arms whose tracks go along, in each setup with operations."""
+        out = []
+        for setup in self.setups:
+            own: dict[str, Riding] = {}
+            for arm in setup.cell.arms if setup.operations else ():
+                for axis in outer_axes(arm, None):
+                    if axis.follow is not None:
+                        station = arm.station or 0.0
+                        own[arm.name] = Riding(np.array(axis.way), axis.column, axis.scale, station)
+            out.append(own)
+        return tuple(out)
+
+    def ridden(self, index: int, rows: IntArray) -> dict[str, FloatArray]:
+        """Base poses {arm: (K, 4, 4)} at samples ``rows`` (K,) of setup ``index``, of arms whose tracks go
+        along."""
+        out = {}
+        for arm, how in self.riding[index].items():
+            out[arm] = np.tile(self.based(index)[arm], (len(rows), 1, 1))
+            out[arm][:, :3, 3] += self.motion.ridden[arm][rows, None] * how.axis
+        return out
+
+    def based(self, index: int) -> dict[str, FloatArray]:
+        """Base poses (4, 4) of all arms in setup ``index``: those of the text, where the text's targets have
+        tracks stand."""
+        out = dict(self.bases)
+        for arm in self.setups[index].cell.arms:
+            if arm.stands:
+                out[arm.name] = np.array(out[arm.name])
+                out[arm.name][:3, 3] += slid(arm, arm.stands)
+        return out
+
+    @cached_property
+    def bases_by_setup(self) -> tuple[dict[str, FloatArray], ...]:
+        """:meth:`based` of each setup."""
+        return tuple(self.based(index) for index in range(len(self.setups)))
+
+    @property
+    def tilts(self) -> tuple[float, ...]:
+        """The values [rad] of a positioner's tilt axis in the setups, 0 without one."""
+        return tuple(setup.stock.tilt or 0.0 for setup in self.setups)
+
+    @property
+    def stands(self) -> tuple[dict[str, float], ...]:
+        """Where the text has the axes under arms stand [m], by their names, in the setups."""
+        return tuple(
+            {name: value for arm in setup.cell.arms for name, value in arm.stands.items()}
+            for setup in self.setups
+        )
+
+    @cached_property
+    def bases(self) -> dict[str, FloatArray]:
+        """Base poses (4, 4) of all arms, on axes of values 0: from the text, else from the problem."""
+        found = self.declared_bases
+        out = {}
+        for arm in self.problem.cell.arms:
+            value = found.get(arm.name)
+            out[arm.name] = arm.base if value is None else value
+        return out
+
+    @cached_property
+    def work_objects(self) -> list[tuple[int, TaskText, MoveStep, WorkObject]]:
+        """Each work object that straight moves use, once a setup and task, with the setup's index and its
+        first move there. Work objects of one name may differ by module."""
+        seen: dict[tuple[int, str, int], tuple[int, TaskText, MoveStep, WorkObject]] = {}
+        for number, _, task, moves in self.moves():
+            index = int(self.spans.of_stage[number])
+            for move in moves:
+                if not move.by_joints:
+                    key = (index, task.name, id(move.wobj))
+                    seen.setdefault(key, (index, task, move, move.wobj))
+        return list(seen.values())
+
+    @cached_property
+    def places(self) -> tuple[FloatArray | None, ...]:
+        """Where the block stands (4, 4) in each setup: the work object that the text names for it, else where
+        it stood before or the problem's place; None where nothing says it."""
+        out: list[FloatArray | None] = []
+        for index, setup in enumerate(self.setups):
+            named = (
+                np.asarray(wobj.user @ wobj.object)
+                for where, _, move, wobj in self.work_objects
+                if where == index and wobj.fixed and not move.in_world
+            )
+            before = out[-1] if out and setup_text.stays(self.problem, setup) else None
+            found = next(named, None)
+            out.append(next((p for p in (found, setup.stock.place, before) if p is not None), None))
+        return tuple(out)
+
+    @property
+    def stock_pose(self) -> FloatArray:
+        """Where the block stands (4, 4) in the first setup."""
+        return np.eye(4) if self.places[0] is None else self.places[0]
+
+    def stock_poses(self, index: int, rows: IntArray) -> FloatArray:
+        """The block's frame in the world (S, 4, 4) at samples of setup ``index``, or at instants between
+        samples by their rows in :class:`Looks`; a holder moves it."""
+        held = self.holder(index)
+        if held is not None and held.arm in self.motion.tcp:
+            return np.asarray(self.motion.poses(held.arm, rows) @ held.grip)
+        place = self.places[index]
+        return np.tile(np.eye(4) if place is None else place, (len(rows), 1, 1))
+
+    def in_stock(self, index: int, rows: IntArray, points: FloatArray) -> FloatArray:
+        """Points (S, P, 3) of the world at samples of setup ``index`` as seen from the block."""
+        back = inverse(self.stock_poses(index, rows))
+        return np.asarray(np.einsum("sij,spj->spi", back[:, :3, :3], points) + back[:, None, :3, 3])
+
+    # ---- motion ----
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The replayed motion, of arms that bend where they stand then; only if :attr:`playable`."""
+        tools = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in self.setups]
+        based = self.bases_by_setup
+        of_stage = self.spans.of_stage
+        rows = ([based[i] for i in of_stage], [tools[i] for i in of_stage])
+        made = replay(self.job, *rows, self.travels, [self.riding[i] for i in of_stage])
+        arms = [self._bending(index) for index in range(len(self.setups))]
+        if not any(arms):
+            return made
+        of_node = self.spans.of_stage[made.node_stage]
+        return bending.bent(made, arms, np.asarray(of_node[made.node]), of_node)
+
+    @cached_property
+    def travels(self) -> dict[int, float]:
+        """{identity of a move: time [s]} of the moves that take an external axis elsewhere, by the speed that
+        the text gives it: from rest to rest, ramps at the axis' own acceleration."""
+        out: dict[int, float] = {}
+        for task in self.job.tasks:
+            for axis in outer_axes(task.arm, self.problem.cell.turntable):
+                here = axis.home
+                for move in (step for step in task.steps if isinstance(step, MoveStep)):
+                    along = axis.follow is not None and not move.by_joints  # in the time of the move
+                    value = axis.scale * float(move.target.external[axis.column])
+                    if abs(value) >= axis.scale * MOST_OUTER:
+                        continue
+                    way, speed = abs(value - here), axis.told(move)
+                    here = value
+                    if way > 0.0 and speed > 0.0 and not along:  # none is a fault of its own
+                        reached = min(speed, float(np.sqrt(way * axis.acceleration)))
+                        seconds = way / reached + reached / axis.acceleration
+                        out[id(move)] = max(out.get(id(move), 0.0), seconds)
+        return out
+
+    def _bending(self, index: int) -> dict[str, Bent]:
+        """Arms of a setup that bend under what is claimed of their loads."""
+        place = self.places[index]
+        block = np.eye(4) if place is None else place
+        out = {}
+        for claim in (c for group in self.setup_claims[index].groups for c in group):
+            if isinstance(claim, ArmSags):
+                arm = self.setups[index].cell.arm(claim.arm)
+                machine = arm_model.machine_of(arm.data)
+                out[arm.name] = Bent(machine, claim, self.based(index)[arm.name], arm.tool.tcp, block)
+        return out
+
+    def runs(self, index: int) -> tuple[tuple[int, ...], ...]:
+        """Synchronised stages with moves of setup ``index``, in runs without lone moves between them."""
+        runs: list[list[int]] = []
+        fresh = True
+        for number, stage in enumerate(self.job.stages):
+            if self.spans.of_stage[number] != index:
+                continue
+            if not any(stage.moves(task.name) for task in self.job.tasks):
+                continue
+            if not stage.synchronised or stage.is_way:
+                fresh = True
+                continue
+            if fresh:
+                runs.append([])
+            runs[-1].append(number)
+            fresh = False
+        return tuple(tuple(run) for run in runs)
+
+    @cached_property
+    def phases(self) -> tuple[Phase, ...]:
+        """When a wire is mounted: one run of synchronised stages for each claim of a wire, in order."""
+        return tuple(
+            Phase(self._edge(run[0], -1), self._edge(run[-1], 1), claim, index)
+            for index, setup in enumerate(self.setup_claims)
+            for run, claim in zip(self.runs(index), setup.joined, strict=False)
+        )
+
+    def _edge(self, stage: int, way: int) -> int:
+        """The farthest stage of its setup before (-1) or behind (1) a stage without a lone move between."""
+        stages = self.job.stages
+        index = self.spans.of_stage[stage]
+        while 0 <= stage + way < len(stages) and self.spans.of_stage[stage + way] == index:
+            following = stages[stage + way]
+            if any(following.moves(task.name) for task in self.job.tasks):
+                return stage + way  # what stands behind (before) its lone moves belongs to the wire
+            stage += way
+        return stage
+
+    def mounted_steps(self, phase: Phase) -> list[tuple[int, str, Step]]:
+        """Steps (stage, task, step) of a phase between lone moves, in order: what happens while the operator
+        is at the wire."""
+        out: list[tuple[int, str, Step]] = []
+        for number in range(phase.first, phase.last + 1):
+            stage = self.job.stages[number]
+            for task in self.job.tasks:
+                steps = list(stage.steps[task.name])
+                if not stage.synchronised or stage.is_way:
+                    alone = [i for i, step in enumerate(steps) if isinstance(step, MoveStep)]
+                    if alone and number == phase.first:
+                        steps = steps[alone[-1] + 1 :]
+                    elif alone and number == phase.last:
+                        steps = steps[: alone[0]]
+                out += [(number, task.name, step) for step in steps]
+        return out
+
+    def confirms(self, phase: Phase) -> list[int]:
+        """Positions in :meth:`mounted_steps` where the operator confirms."""
+        return [
+            i
+            for i, (_, _, step) in enumerate(self.mounted_steps(phase))
+            if isinstance(step, MessageStep) and step.certain
+        ]
+
+
+def mm(value: float) -> float:
+    """Metres as millimetres for messages."""
+    return round(value * 1e3, 6)
+
+
+def at_step(code: str, message: str, task: TaskText, step: Step | None, hint: str | None = None) -> Issue:
+    """An issue about a step of a task."""
+    if step is None:
+        return Issue(code, message, arm=task.arm.name, file=task.name, hint=hint)
+    return Issue(
+        code,
+        message,
+        arm=task.arm.name,
+        file=f"{task.name}/{step.module}",
+        line=step.line,
+        field=step.procedure,
+        target=target(step),
+        hint=hint,
+    )
+
+
+def target(step: Step) -> str | None:
+    """What to call the target of a move: its ID, else its name."""
+    if not isinstance(step, MoveStep):
+        return None
+    return f"ID {step.id}" if step.id is not None else step.target_name or None
+
+
+def at_node(code: str, message: str, motion: Motion, arm: str, node: int) -> Issue:
+    """An issue about a target of the replayed motion."""
+    ident = int(motion.node_ids[node])
+    return Issue(
+        code,
+        message,
+        arm=arm,
+        index=node,
+        target=f"ID {ident}" if ident else None,
+        line=int(motion.node_line[arm][node]) or None,
+        field=str(motion.node_segment[node]),
+        time=float(motion.time[motion.node_sample[node]]),
+    )
+
+
+def at_sample(
+    code: str,
+    message: str,
+    motion: Motion,
+    arm: str,
+    sample: int,
+    measure: tuple[float, float, str] | None = None,
+    bodies: tuple[str, ...] = (),
+) -> Issue:
+    """An issue about an instant of the replayed motion; ``measure`` is value, limit and unit."""
+    issue = at_node(code, message, motion, arm, int(motion.node[sample]))
+    value, limit, unit = measure if measure is not None else (None, None, None)
+    return dataclasses.replace(
+        issue, time=float(motion.time[sample]), value=value, limit=limit, unit=unit, bodies=bodies
+    )

@@ -1,0 +1,1 @@
+"""Kinematics of the proof, independent of the planner's."""

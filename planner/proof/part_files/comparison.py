@@ -1,0 +1,469 @@
+"""How a part as read here lies on what programs make, and how far off what they make is.
+
+Where the problem leaves open how a part is turned, a rigid motion, without mirror or scale, brings
+what the file says onto what is cut, with the part in the middle of the block. Whether there is one
+is what matters, so how it was found needs no proof: the middle and the axes of inertia of both,
+then steps to the nearest places (Y. Chen and G. Medioni, 1992). At places of a surface that the
+proof has read itself, it is then told how far each place is off the simulated part.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from planner.claims.claim import CutsSurface
+from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.mesh import closest_on_triangles
+from planner.processes.forming.proof.face import Face, least_gap
+from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.swept import Swept, swept
+from planner.processes.hotwire.proof.cut_surface import Sweep, distance_to_sweep
+from planner.processes.milling.claims import MillsSurface
+from planner.processes.milling.proof.tool_motion import BEND_SHARE, SIGHT_DISTANCE, Milling, solids, sweep
+from planner.proof.context import Context
+from planner.proof.part_files import Samples, on_triangles
+from planner.proof.part_files.sheets import SheetFace
+
+_SAME_MOMENT_FACTOR: Final = 1.3
+"""Moments of inertia whose square roots differ by less than this factor may be the same."""
+_NORMAL_TURNS: Final = 12
+"""Turns about a normal that are tried."""
+_NORMAL_WEIGHT: Final = 0.1
+"""Weight, of the part's size, of the angle between normals against distance."""
+_OTHER_SURFACE_DISTANCE: Final = 10.0
+"""Distance, in the part's size, to another surface: the back of a panel that is alike on both sides is no
+place for its front."""
+_SLIDE_WEIGHT: Final = 0.03
+"""Weight of distances along the surface, which keep steps from sliding."""
+_SEED_PLACES: Final = 240
+"""Places of the source at which poses to begin with are judged."""
+_START_SPOTS: Final = 32
+"""Places of the target at which a piece of a surface is tried."""
+_FIRST_STEPS: Final = 6
+"""Steps of each pose before the best of them is chosen."""
+_MOST_STEPS: Final = 30
+"""Steps of the best pose at most."""
+_LEAF_SIZE: Final = 128
+"""Places in a leaf of the tree, which is twice as fast so, in seven dimensions, as with the usual 16."""
+_FLAT_MEAN: Final = 0.8
+"""A surface whose mean normal is longer than this is nearly flat."""
+_FAN_ANGLE: Final = float(np.deg2rad(6.0))
+"""Turns of a flat surface in its own plane, by so much either way [rad],"""
+_FAN_STEPS: Final = 6
+"""in so many steps either way,"""
+_FAN_FINEST: Final = 1e-4
+"""and, with ever finer steps, down to so much [rad]."""
+_TURNS_ALL_OVER: Final = 400
+"""Turns all over, the nearest of which is some 15 degrees off."""
+
+
+Cloud = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Points and normals (N, 3) with weights and the numbers of their surfaces (N,)."""
+
+
+class _Target:
+    """Places of a surface with normals, and what is nearest to others of both."""
+
+    def __init__(self, parts: list[Samples], size: float) -> None:
+        self.points, self.normals, self.weight, number = _together(parts)
+        self.size = size
+        self._tree = cKDTree(self._told(self.points, self.normals, number), leafsize=_LEAF_SIZE)
+
+    def _told(self, points: FloatArray, normals: FloatArray, number: FloatArray) -> FloatArray:
+        apart = _OTHER_SURFACE_DISTANCE * self.size * number[:, None]
+        return np.concatenate([points, _NORMAL_WEIGHT * self.size * normals, apart], axis=1)
+
+    def near(
+        self, points: FloatArray, normals: FloatArray, number: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """The nearest places (N,) of the same surface to points with normals (N, 3), and how far they are,
+        bounded [m]."""
+        apart, at = self._tree.query(self._told(points, normals, number))
+        return np.asarray(at), np.minimum(np.asarray(apart), 0.3 * self.size)
+
+
+def aligned_pose(
+    source: list[Samples],
+    target: list[Samples],
+    bound: FloatArray,
+    middle: FloatArray,
+    all_around: bool = False,
+) -> FloatArray:
+    """The pose (4, 4) at which ``source`` is nearest to ``target``, which has the same surfaces in the same
+    order, each counting by its area, with the box around ``bound`` (K, 3) about ``middle`` (3,).
+
+    ``all_around``: begin from turns all over, for where the axes of inertia lead to another pose, or are not
+    those of what is made, of which ``source`` may have the guides only."""
+    cloud = points, normals, weight, number = _together(source)
+    size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
+    goal = _Target(target, size)
+    some = np.unique(np.linspace(0, len(points) - 1, _SEED_PLACES).astype(np.int64))
+    seeds = _all_around(bound, middle) if all_around else _seeds((points, weight), (goal.points, goal.weight))
+    best = _best(seeds, cloud, goal, some)
+    for _ in range(_MOST_STEPS):
+        own, up = _at(best, points), normals @ best[:3, :3].T
+        at, _ = goal.near(own, up, number)
+        # the place is given, so that only the turn about it is looked for
+        after = _turned(own, goal.points[at], goal.normals[at], weight, middle) @ best
+        seen = _at(after, bound)
+        after[:3, 3] += middle - 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+        change, best = float(np.abs(after - best).max()), after
+        if change < 1e-9:
+            break
+    return _straightened(best, cloud, goal, bound, middle)
+
+
+def _straightened(
+    pose: FloatArray, cloud: Cloud, goal: _Target, bound: FloatArray, middle: FloatArray
+) -> FloatArray:
+    """The pose turned about the mean normal so that least lies beyond the borders: on planes alone, a nearly
+    flat surface turns freely in its own. Distances to planes count far more, as before: places are apart from
+    one another along the surface wherever it lies."""
+    axis = cloud[2] @ (cloud[1] @ pose[:3, :3].T)
+    size = float(np.linalg.norm(axis))
+    if size < _FLAT_MEAN:
+        return pose
+    best, spread = pose, _FAN_ANGLE
+
+    def apart(one: FloatArray) -> float:
+        own = _at(one, cloud[0])
+        at, _ = goal.near(own, cloud[1] @ one[:3, :3].T, cloud[3])
+        off = own - goal.points[at]
+        across = np.einsum("ij,ij->i", off, goal.normals[at])
+        return float(cloud[2] @ (across**2 + _SLIDE_WEIGHT**2 * np.sum(off**2, axis=1)))
+
+    while spread > _FAN_FINEST:
+        tried = []
+        for angle in np.linspace(-spread, spread, 2 * _FAN_STEPS + 1):
+            turn = np.eye(4)
+            turn[:3, :3] = _rotation(angle * axis / size)
+            after = turn @ best
+            seen = _at(after, bound)
+            after[:3, 3] += middle - 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+            tried.append((apart(after), abs(float(angle)), after))
+        best = min(tried, key=lambda one: one[:2])[2]
+        spread /= _FAN_STEPS
+    return best
+
+
+def found_piece(piece: Samples, whole: Samples) -> FloatArray:
+    """The pose (4, 4) at which a part of ``whole`` is nearest to ``piece``."""
+    cloud = points, normals, weight, _ = _together([piece])
+    size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
+    goal = _Target([whole], size)
+    some = np.unique(np.linspace(0, len(points) - 1, _SEED_PLACES // 3).astype(np.int64))
+    spots = np.unique(np.linspace(0, len(whole.points) - 1, _START_SPOTS).astype(np.int64))
+    here, out = _upright(normals.mean(axis=0)), []
+    for spot, turn in itertools.product(
+        spots.tolist(), 2.0 * np.pi * np.arange(_NORMAL_TURNS) / _NORMAL_TURNS
+    ):
+        c, s = np.cos(turn), np.sin(turn)
+        around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        pose = np.eye(4)
+        pose[:3, :3] = _upright(whole.normals[spot]) @ around @ here.T
+        pose[:3, 3] = whole.points[spot] - pose[:3, :3] @ points.mean(axis=0)
+        out.append(pose)
+    best = _best(out, cloud, goal, some, 3)
+    for _ in range(_MOST_STEPS):
+        best = _step(best, cloud, goal, np.arange(len(points)))
+    return np.asarray(np.linalg.inv(best), dtype=np.float64)
+
+
+def _best(
+    seeds: list[FloatArray], cloud: Cloud, goal: _Target, some: IntArray, steps: int = _FIRST_STEPS
+) -> FloatArray:
+    """The best of some poses after a few steps each."""
+    tried = []
+    for seed in seeds:
+        pose = seed
+        for _ in range(steps):
+            pose = _step(pose, cloud, goal, some)
+        _, apart = goal.near(_at(pose, cloud[0][some]), cloud[1][some] @ pose[:3, :3].T, cloud[3][some])
+        tried.append((float(cloud[2][some] @ apart**2), pose))
+    return min(tried, key=lambda one: one[0])[1]
+
+
+def _step(pose: FloatArray, cloud: Cloud, goal: _Target, rows: IntArray) -> FloatArray:
+    own = _at(pose, cloud[0][rows])
+    at, _ = goal.near(own, cloud[1][rows] @ pose[:3, :3].T, cloud[3][rows])
+    return np.asarray(_moved(own, goal.points[at], goal.normals[at], cloud[2][rows]) @ pose)
+
+
+def _at(pose: FloatArray, points: FloatArray) -> FloatArray:
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
+
+
+def _upright(normal: FloatArray) -> FloatArray:
+    """A rotation (3, 3) whose z is along ``normal``."""
+    z = normal / np.linalg.norm(normal)
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+    x = x / np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _together(parts: list[Samples]) -> Cloud:
+    points = np.concatenate([part.points for part in parts])
+    normals = np.concatenate([part.normals for part in parts])
+    weight = np.concatenate([np.full(len(part.points), part.area / len(part.points)) for part in parts])
+    number = np.repeat(np.arange(len(parts), dtype=np.float64), [len(part.points) for part in parts])
+    return points, normals, weight / weight.sum(), number
+
+
+def _seeds(source: tuple[FloatArray, FloatArray], target: tuple[FloatArray, FloatArray]) -> list[FloatArray]:
+    """Poses that bring middle and axes of inertia together, turned on where axes are not told apart."""
+    frames = []
+    for points, weight in (source, target):
+        middle = weight @ points
+        off = points - middle
+        moments, axes = np.linalg.eigh((off * weight[:, None]).T @ off)
+        frames.append((middle, axes, np.sqrt(np.maximum(moments, 1e-30))))
+    (here, own, _), (there, goal, sizes) = frames
+    alike = [sizes[k + 1] < _SAME_MOMENT_FACTOR * sizes[k] for k in range(2)]
+    extra = [np.eye(3)]
+    for k, same in enumerate(alike):  # turns about the axis that is told from both
+        if same:
+            one, two = k, k + 1
+            angles = 2.0 * np.pi * np.arange(1, _NORMAL_TURNS) / _NORMAL_TURNS
+            for angle in angles:
+                turn = np.eye(3)
+                turn[[one, one, two, two], [one, two, one, two]] = [
+                    np.cos(angle),
+                    -np.sin(angle),
+                    np.sin(angle),
+                    np.cos(angle),
+                ]
+                extra.append(turn)
+    out = []
+    for signs in itertools.product((1.0, -1.0), repeat=3):
+        rotation = goal @ np.diag(signs) @ own.T
+        if np.linalg.det(rotation) < 0.0:
+            continue
+        for turn in extra:
+            pose = np.eye(4)
+            pose[:3, :3] = goal @ turn @ goal.T @ rotation
+            pose[:3, 3] = there - pose[:3, :3] @ here
+            out.append(pose)
+    return out
+
+
+def _all_around(bound: FloatArray, middle: FloatArray) -> list[FloatArray]:
+    """Poses with the box around ``bound`` about ``middle``, turned all over, the same ones each time."""
+    out = []
+    for turn in Rotation.random(_TURNS_ALL_OVER, random_state=0).as_matrix():
+        pose = np.eye(4)
+        pose[:3, :3] = turn
+        seen = _at(pose, bound)
+        pose[:3, 3] = middle - 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+        out.append(pose)
+    return out
+
+
+def _moved(own: FloatArray, goal: FloatArray, normal: FloatArray, weight: FloatArray) -> FloatArray:
+    """The small motion (4, 4) that brings ``own`` (N, 3) onto planes through ``goal`` across ``normal``."""
+    middle = own.mean(axis=0)
+    arm = own - middle
+    off = goal - own
+    rows = [np.concatenate([np.cross(arm, normal), normal], axis=1)]
+    values = [np.einsum("ij,ij->i", off, normal)]
+    scale = [np.sqrt(weight)]
+    for axis in np.eye(3):
+        flat = np.broadcast_to(axis, arm.shape)
+        rows.append(np.concatenate([np.cross(arm, flat), flat], axis=1))
+        values.append(off @ axis)
+        scale.append(_SLIDE_WEIGHT * np.sqrt(weight))
+    factor = np.concatenate(scale)
+    solution = np.linalg.lstsq(np.concatenate(rows) * factor[:, None], np.concatenate(values) * factor, 1e-9)[
+        0
+    ]
+    pose = np.eye(4)
+    pose[:3, :3] = _rotation(solution[:3])
+    pose[:3, 3] = solution[3:] + middle - pose[:3, :3] @ middle
+    return pose
+
+
+def _turned(
+    own: FloatArray, goal: FloatArray, normal: FloatArray, weight: FloatArray, middle: FloatArray
+) -> FloatArray:
+    """The small turn (4, 4) about ``middle`` that brings ``own`` (N, 3) toward planes through ``goal``."""
+    rows = np.cross(own - middle, normal)
+    off = np.einsum("ij,ij->i", goal - own, normal)
+    factor = np.sqrt(weight)
+    pose = np.eye(4)
+    pose[:3, :3] = _rotation(np.linalg.lstsq(rows * factor[:, None], off * factor, 1e-6)[0])
+    pose[:3, 3] = middle - pose[:3, :3] @ middle
+    return pose
+
+
+def _rotation(turn: FloatArray) -> FloatArray:
+    """The rotation (3, 3) by a vector [rad] (Rodrigues)."""
+    angle = float(np.linalg.norm(turn))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = turn / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+
+
+ALL_RULED: Final = "*"
+"""In place of names: all surfaces of the part that are ruled."""
+OUTLINES: Final = frozenset({"outline", "hole"})
+"""What outlines of a plate are called, before the letters that tell them apart."""
+ON_FACE: Final = 1e-4
+"""[m] a face that is claimed is the one that is read where it is no farther from it than this, ..."""
+NOISE_TOLERANCES: Final = 2.5
+"""... or, in a mesh with noise, than so many of its tolerances: folds are rounded there."""
+_AXIS_PLACES: Final = 5
+"""Places along a cutter's axis that must be on the outer side."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Made:
+    """A surface of the part that an operation makes: its ``name``, the ``segment`` in which, ``tolerance``
+    [m] and ``share`` as the operation states them, the claim, and for a wire its sweep."""
+
+    name: str
+    segment: str
+    tolerance: float
+    share: float
+    claim: CutsSurface | MillsSurface
+    sweep: Sweep | None = None
+    index: int = 0
+    margin: float = 0.0
+
+
+def wanted_surfaces(context: Context) -> Iterator[tuple[str, str, float, float, float]]:
+    """Name (or `ALL_RULED`), kind of segment, tolerance [m], share, and margin [m] left out along its edge,
+    of each surface of the part that the operations are to make, from the operations alone."""
+    for one in context.problem.operations:
+        operation: Any = one
+        if operation.process == "elastic_wire":
+            for name in operation.faces:
+                yield name, "cut", operation.shape_tol_mm / 1000.0, operation.share, 0.0
+        elif operation.process == "straight_wire":
+            for name in _straight_cuts(operation):
+                yield name, "cut", operation.shape_tol_mm / 1000.0, operation.share, 0.0
+        elif operation.process == "milling":
+            for cut in operation.cuts:
+                tolerance = (getattr(cut, "shape_tol_mm", None) or operation.shape_tol_mm) / 1000.0
+                if hasattr(cut, "flank") and cut.guides == "surface":
+                    yield cut.flank, "mill", tolerance, operation.share, 0.0
+                elif hasattr(cut, "lines"):
+                    margin = cut.margin_mm / 1000.0
+                    yield f"{cut.lines}_lines", "mill", tolerance, operation.share, margin
+
+
+def _straight_cuts(operation: Any) -> tuple[str, ...]:
+    """Names of the surfaces that a straight wire cuts."""
+    if operation.cuts == "all":
+        return (ALL_RULED,)
+    return tuple(cut.surface for cut in operation.cuts if hasattr(cut, "surface"))
+
+
+def off_wire(one: Made, places: Samples) -> FloatArray:
+    """How far (N,) [m] what the wire leaves is off places, above zero outside of the part; NaN where it did
+    not pass."""
+    if one.sweep is None or not isinstance(one.claim, CutsSurface):
+        return np.full(len(places.points), np.nan)
+    distance, speed = distance_to_sweep(places.points, places.normals, one.sweep)
+    return np.asarray(distance - 0.5 * one.claim.kerf.at(speed))
+
+
+def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
+    """How far (N,) [m] the swept cutter is off places; NaN where it never comes near, or from within."""
+    if not isinstance(one.claim, MillsSurface):
+        return np.full(len(places.points), np.nan)
+    labels = tuple(segment.key for segment in one.claim.segments)
+    track = milling.track(one.index, one.claim.arm, labels)
+    solid = solids(one.claim.cutter)[0]
+    step = float(np.clip(np.sqrt(0.4 * solid.radius * one.tolerance), 0.3e-3, 3e-3))
+    tip, axis, _ = track.spaced(step, BEND_SHARE * one.tolerance)
+    off, _ = sweep(places.points, tip, axis, solid)
+    # the cutter's axis has to be on the outer side
+    heights = np.linspace(min(solid.radius, solid.end), solid.end, _AXIS_PLACES)
+    line = np.concatenate([tip + height * axis for height in heights])
+    near = line[np.asarray(cKDTree(line).query(places.points)[1])]
+    outside = np.einsum("ij,ij->i", near - places.points, places.normals) > 0.0
+    return np.asarray(np.where(outside & (off < SIGHT_DISTANCE), off, np.nan))
+
+
+def of_claim(one: Made, count: int) -> Samples:
+    """Places of the claimed surface, by which a part is looked for in the block."""
+    corners = one.claim.vertices[one.claim.faces]
+    return on_triangles(corners, np.arange(len(corners)) + 1, count)
+
+
+def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: bool) -> tuple[FloatArray, ...]:
+    """How far (N,) [m] the nearest of all passes of the forming balls is off the walls of the sheet, and what
+    the steps of its path may leave there (N,) [m].
+
+    The face that a ball above the sheet touches is the read one moved up by the ``thickness`` [m]. With
+    ``shifted``, features are formed at other levels than the part has them at. What a ball of that size
+    cannot reach is allowed too. NaN where no face that is claimed is the read one.
+    """
+    points = sheet.walls.points
+    off, allowed = np.full(len(points), np.nan), np.zeros(len(points))
+    for one in forming.formed:
+        claim = one.claim
+        rise = np.array([0.0, 0.0, thickness if claim.side > 0 else 0.0])
+        here = points + rise
+        if shifted:
+            here = here + np.array([0.0, 0.0, _shift(claim.vertices[claim.faces], sheet.face.corners + rise)])
+        found = swept(Swept.of(one), here) - claim.radius
+        near = one.face.nearest(here)
+        # where the face that is claimed is not the read one, its steps and what balls reach of it say nothing
+        found[near.apart > ON_FACE + NOISE_TOLERANCES * sheet.tolerance] = np.nan
+        ridge = np.zeros(len(here))
+        np.maximum.at(ridge, near.row, claim.scallop[one.face.rows[near.triangle]])
+        rows = np.flatnonzero((found > ridge) & (found < claim.radius))
+        up = sheet.walls.normals[rows]
+        up = up * np.where(up[:, 2:] < 0.0, -1.0, 1.0)
+        ridge[rows] += least_gap(one.face, here[rows], up, claim.radius, claim.side)
+        better = np.isfinite(found) & ~(np.abs(found) >= np.abs(off))  # NaN gives way
+        off, allowed = np.where(better, found, off), np.where(better, ridge, allowed)
+    return off, allowed
+
+
+def _shift(claimed: FloatArray, read: FloatArray) -> float:
+    """How much higher [m] the walls of a face (F, 3, 3) are than what is below or above them of another."""
+    slope = np.cross(claimed[:, 1] - claimed[:, 0], claimed[:, 2] - claimed[:, 0])
+    steep = slope[:, 2] < 0.98 * np.linalg.norm(slope, axis=1)
+    places = (claimed[steep] if steep.any() else claimed).mean(axis=1)[:2000]
+    near = np.asarray(cKDTree(read.mean(axis=1)[:, :2]).query(places[:, :2])[1])
+    corner, across = read[near, 0], np.cross(read[near, 1] - read[near, 0], read[near, 2] - read[near, 0])
+    fall = np.where(np.abs(across[:, 2]) > 1e-15, across[:, 2], np.inf)
+    level = corner[:, 2] - ((places - corner)[:, :2] * across[:, :2]).sum(axis=1) / fall
+    return float(np.median(places[:, 2] - level))
+
+
+def off_mesh(points: FloatArray, vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """How far (N,) [m] points are off a mesh."""
+    face = Face(vertices, faces, 0.01)
+    return face.nearest(points).apart
+
+
+def off_facets(points: FloatArray, facets: FloatArray) -> FloatArray:
+    """How far (N,) [m] points (N, 3) are off the nearest of many small triangles (F, 3, 3)."""
+    near = np.asarray(cKDTree(facets.mean(axis=1)).query(points, k=min(12, len(facets)))[1])
+    near = near.reshape(len(points), -1)
+    best = np.full(len(points), np.inf)
+    for column in near.T:
+        weights = closest_on_triangles(points, *np.moveaxis(facets[column], 1, 0))
+        foot = np.einsum("nk,nkd->nd", weights, facets[column])
+        best = np.minimum(best, np.linalg.norm(points - foot, axis=1))
+    return best
+
+
+def beside(points: FloatArray, rim: FloatArray) -> FloatArray:
+    """How far (N,) [m] points (N, 3) are from the nearest of the edges ``rim`` (E, 2, 3), seen along z."""
+    start, way = rim[:, 0, :2], rim[:, 1, :2] - rim[:, 0, :2]
+    off = points[:, None, :2] - start
+    share = (off * way).sum(axis=2) / np.maximum((way * way).sum(axis=1), 1e-30)
+    off = off - np.clip(share, 0.0, 1.0)[..., None] * way
+    return np.asarray(np.linalg.norm(off, axis=2).min(axis=1, initial=np.inf))

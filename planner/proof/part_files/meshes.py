@@ -1,0 +1,496 @@
+"""Triangles of OBJ, STL, PLY, GLB and 3MF files, read from their bytes, and faces as meshes of vertices.
+
+Faces come from files and from lofts; they are moved inwards, and their edges are joined.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from planner.geometry.arrays import FloatArray, IntArray
+from planner.proof.part_files import UNITS, Said, UnreadError, file_of, metres, packed_meshes, radians, row
+from planner.proof.part_files.curves import Ruled, bezier, blended, bspline, joined, through
+
+_STL: Final = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("more", "<u2")])
+"""One triangle of a binary STL file."""
+_STL_HEAD: Final = 84
+"""Bytes before the first triangle: 80 of text and the count."""
+_PLY_TYPES: Final = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+"""Numbers of PLY files by their names."""
+_PLY_FACES: Final = ("vertex_indices", "vertex_index")
+"""Names of the property that lists a face's vertices."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Facets:
+    """Triangles ``corners`` (F, 3, 3) in the file's lengths, anticlockwise seen from outside; ``row`` (F,):
+    which of the file's faces each is of, from 1; ``unit``: metres of its lengths where it states them."""
+
+    corners: FloatArray
+    row: IntArray
+    unit: float | None = None
+
+
+def read_facets(path: Path) -> Facets:
+    """The triangles of a file, by its suffix; polygons as fans. Raises `UnreadError`."""
+    data = path.read_bytes()
+    kind = path.suffix.lower()
+    try:
+        if kind == ".obj":
+            found = _obj(data.decode("utf-8", errors="replace"))
+        elif kind == ".stl":
+            found = _stl(data)
+        elif kind == ".ply":
+            found = _ply(data)
+        elif kind in (".glb", ".3mf"):
+            corners, unit = packed_meshes.glb(data) if kind == ".glb" else packed_meshes.packed(path)
+            found = Facets(corners, np.arange(1, len(corners) + 1), unit)
+        else:
+            raise UnreadError(f"a mesh in a file {path.suffix or 'without suffix'} is not known")
+    except (ValueError, IndexError, KeyError, OverflowError) as error:
+        raise UnreadError(str(error) or type(error).__name__) from error
+    if not len(found.corners) or not np.isfinite(found.corners).all():
+        raise UnreadError(
+            "it has no faces" if not len(found.corners) else "it has numbers that are not finite"
+        )
+    return found
+
+
+def read_points(path: Path) -> FloatArray:
+    """The points (N, 3) of a scan in the file's lengths: vertices of a mesh, or the first three columns of a
+    text. Raises `UnreadError`."""
+    data = path.read_bytes()
+    kind = path.suffix.lower()
+    try:
+        if kind == ".ply":
+            found = _ply_columns(data)["vertex"]
+            return np.array([found[axis] for axis in "xyz"], dtype=np.float64).T
+        if kind == ".stl":
+            return np.unique(_stl(data).corners.reshape(-1, 3), axis=0)
+        if kind not in (".obj", ".xyz", ".txt"):
+            raise UnreadError(f"a scan in a file {path.suffix or 'without suffix'} is not known")
+        lines = _lines(data)
+        rows = [line.replace(",", " ").replace(";", " ").split() for line in lines]
+        if kind == ".obj":
+            rows = [row[1:] for row in rows if row and row[0] == "v"]
+        rows = [row for row in rows if row and not row[0].startswith(("#", "//"))]
+        if kind != ".obj" and rows and (len(rows[0]) == 1 or not _is_number(rows[0][0])):
+            del rows[0]  # how many points follow, or names of columns
+        return np.array([[float(word) for word in row[:3]] for row in rows]).reshape(-1, 3)
+    except (ValueError, IndexError, KeyError, OverflowError) as error:
+        raise UnreadError(str(error) or type(error).__name__) from error
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _lines(data: bytes) -> list[str]:
+    """Lines of a text of numbers; what else stands in it may be in any alphabet."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16").splitlines()
+    return data.removeprefix(b"\xef\xbb\xbf").decode("latin-1").splitlines()
+
+
+def _obj(text: str) -> Facets:
+    """Lines ``v`` and ``f``; a negative index counts back from the last vertex above the line."""
+    places: list[list[float]] = []
+    polygons: list[list[int]] = []
+    for line in text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
+        words = line.split("#", 1)[0].split()
+        if not words:
+            continue
+        if words[0] == "v":
+            places.append([float(word) for word in words[1:4]])
+        elif words[0] == "f" and len(words) > 3:
+            named = [int(word.split("/", 1)[0]) for word in words[1:]]
+            polygons.append([i - 1 if i > 0 else len(places) + i for i in named])
+    return _fans(np.array(places, dtype=np.float64).reshape(-1, 3), polygons)
+
+
+def _fans(places: FloatArray, polygons: Sequence[Sequence[int]] | IntArray) -> Facets:
+    """Triangles of polygons, as fans about the first corner of each, in their order."""
+    lengths = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
+    index, row = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for length in np.unique(lengths[lengths > 2]).tolist():
+        rows = np.flatnonzero(lengths == length)
+        whole = len(rows) == len(polygons)
+        own = np.asarray(polygons if whole else [polygons[i] for i in rows.tolist()], dtype=np.int64)
+        fan = [own[:, [0, k, k + 1]] for k in range(1, length - 1)]
+        index.append(np.stack(fan, axis=1).reshape(-1, 3))
+        row.append(np.repeat(rows + 1, length - 2))
+    order = np.argsort(np.concatenate(row), kind="stable")
+    named = np.concatenate(index)[order]
+    if len(named) and (named.min() < 0 or named.max() >= len(places)):
+        raise UnreadError("a face names a vertex that is not there")
+    return Facets(places[named], np.concatenate(row)[order])
+
+
+def _stl(data: bytes) -> Facets:
+    """Binary where its own count of triangles says so, else text, of one solid or several."""
+    if len(data) >= _STL_HEAD:
+        count = int.from_bytes(data[80:84], "little")
+        if len(data) == _STL_HEAD + count * _STL.itemsize:
+            corners = np.frombuffer(data, _STL, count, _STL_HEAD)["corner"].astype(np.float64)
+            return Facets(corners, np.arange(1, count + 1))
+    words = data.decode("utf-8", errors="replace").lower().split()
+    if "endsolid" not in words:
+        raise UnreadError("it is neither a binary STL, by its length, nor one in text")
+    last = len(words) - 1 - words[::-1].index("endsolid")
+    at = np.flatnonzero(np.array(words[:last]) == "vertex")
+    numbers = [[float(word) for word in words[i + 1 : i + 4]] for i in at]
+    corners = np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
+    return Facets(corners, np.arange(1, len(corners) + 1))
+
+
+@dataclasses.dataclass
+class _Element:
+    """An element of a PLY file: its properties as name, type, and type of the count where it is a list."""
+
+    name: str
+    count: int
+    properties: list[tuple[str, str, str | None]]
+
+
+def _ply(data: bytes) -> Facets:
+    columns = _ply_columns(data)
+    places, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    if "vertex" in columns:
+        places = np.array([columns["vertex"][axis] for axis in "xyz"], dtype=np.float64).T
+    if "face" in columns:
+        own = columns["face"]
+        named = next((name for name in _PLY_FACES if name in own), None) or _first_list(data)
+        if named is None:
+            raise UnreadError("its faces have no list of vertices")
+        polygons = own[named]
+    return _fans(places, polygons)
+
+
+def _first_list(data: bytes) -> str | None:
+    """The first property of a face that is a list."""
+    faces = [element for element in _ply_elements(_ply_head(data)[0]) if element.name == "face"]
+    return next((name for one in faces for name, _, count in one.properties if count is not None), None)
+
+
+def _ply_columns(data: bytes) -> dict[str, Mapping[str, Any]]:
+    """Columns of each element of a PLY file, by name."""
+    head, body = _ply_head(data)
+    form = next((line[1] for line in head if line[0] == "format"), "")
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
+    if order is None:
+        raise UnreadError(f"its format is {form or '(none)'}")
+    numbers = np.array(body.split(), dtype=np.float64) if not order else np.zeros(0)
+    offset = 0
+    out: dict[str, Mapping[str, Any]] = {}
+    for element in _ply_elements(head):
+        columns: Mapping[str, Any]
+        if order:
+            columns, offset = _ply_binary(element, body, offset, order)
+        else:
+            columns, offset = _ply_text(element, numbers, offset)
+        out[element.name] = columns
+    return out
+
+
+def _ply_head(data: bytes) -> tuple[list[list[str]], bytes]:
+    """Words of the lines of the head, and what is behind it."""
+    end = data.find(b"end_header")
+    if not data[:3].lower() == b"ply" or end < 0:
+        raise UnreadError("it has no head of a PLY file")
+    after = data.find(b"\n", end)
+    lines = data[:end].decode("ascii", errors="replace").splitlines()
+    return [line.split() for line in lines if line.split()], data[after + 1 :] if after >= 0 else b""
+
+
+def _ply_elements(head: list[list[str]]) -> list[_Element]:
+    out: list[_Element] = []
+    for words in head:
+        if words[0] == "element":
+            out.append(_Element(words[1], int(words[2]), []))
+        elif words[0] == "property" and words[1] == "list":
+            out[-1].properties.append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
+        elif words[0] == "property":
+            out[-1].properties.append((words[2], _PLY_TYPES[words[1]], None))
+    return out
+
+
+def _ply_text(element: _Element, numbers: FloatArray, offset: int) -> tuple[dict[str, Any], int]:
+    """Columns of an element whose numbers begin at ``offset``, and where the next one begins."""
+    lengths, at = [], offset
+    for _, _, count in element.properties:
+        lengths.append(int(numbers[at]) if count is not None and element.count else 0)
+        at += 1 + lengths[-1] if count is not None else 1
+    width = at - offset
+    if element.count and offset + width * element.count <= len(numbers):
+        table = numbers[offset : offset + width * element.count].reshape(element.count, width)
+        columns: dict[str, Any] = {}
+        column, even = 0, True
+        for (name, _, count), length in zip(element.properties, lengths, strict=True):
+            if count is None:
+                columns[name] = table[:, column]
+                column += 1
+            else:
+                even &= bool((table[:, column] == length).all())
+                columns[name] = table[:, column + 1 : column + 1 + length].astype(np.int64)
+                column += 1 + length
+        if even:
+            return columns, offset + width * element.count
+    out: dict[str, Any] = {name: [] for name, _, _ in element.properties}
+    for _ in range(element.count):
+        for name, _, count in element.properties:
+            many = int(numbers[offset]) if count is not None else 1
+            offset += count is not None
+            values = numbers[offset : offset + many]
+            if len(values) < many:
+                raise UnreadError("it ends within its data")
+            out[name].append(values.astype(np.int64) if count is not None else values[0])
+            offset += many
+    return out, offset
+
+
+def _ply_binary(element: _Element, body: bytes, offset: int, order: str) -> tuple[dict[str, Any], int]:
+    """Columns of an element, and where the next one begins. Lists that are all as long as the first of
+    theirs, which is the usual case, are read at once."""
+    lengths = _first_lengths(element, body, offset, order)
+    fields: list[Any] = []
+    for (name, kind, count), length in zip(element.properties, lengths, strict=True):
+        if count is not None:
+            fields += [(f"count {name}", order + count), (name, order + kind, (length,))]
+        else:
+            fields.append((name, order + kind))
+    row = np.dtype(fields)
+    if offset + row.itemsize * element.count <= len(body):
+        table = np.frombuffer(body, row, element.count, offset)
+        even = all(
+            (table[f"count {name}"] == length).all()
+            for (name, _, count), length in zip(element.properties, lengths, strict=True)
+            if count is not None
+        )
+        if even:
+            return {name: table[name] for name, _, _ in element.properties}, offset + table.nbytes
+    out: dict[str, Any] = {name: [] for name, _, _ in element.properties}
+    for _ in range(element.count):
+        for name, kind, count in element.properties:
+            many = 1
+            if count is not None:
+                many = int(np.frombuffer(body, order + count, 1, offset)[0])
+                offset += np.dtype(count).itemsize
+            values = np.frombuffer(body, order + kind, many, offset)
+            offset += values.nbytes
+            out[name].append(values if count is not None else values[0])
+    return out, offset
+
+
+def _first_lengths(element: _Element, body: bytes, offset: int, order: str) -> list[int]:
+    """Lengths of the lists of the first row, 0 for what is no list."""
+    out = []
+    for _, kind, count in element.properties:
+        many = 0
+        if count is not None and element.count:
+            many = int(np.frombuffer(body, order + count, 1, offset)[0])
+            offset += np.dtype(count).itemsize
+        out.append(many)
+        offset += np.dtype(kind).itemsize * (many if count is not None else 1)
+    return out
+
+
+LOFT_CELLS: Final = (40, 400)
+"""Fewest and most cells of a loft along each of its parameters."""
+LOFT_CHORD: Final = 1e-5
+"""How far cells may be off the loft [m], where the most of them are enough."""
+_NORMAL_STEP: Final = 1e-5
+"""Step by which a surface's normals are found, over its parameters' range."""
+_SAME_VERTEX: Final = 1e-9
+"""Vertices so near, of the mesh's extent, are one."""
+_CORNER_ANGLE: Final = 20.0 * np.pi / 180.0
+"""A rim turns by more than this [rad] at a corner."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Face:
+    """``vertices`` (V, 3) [m] with unit normals ``up`` (V, 3), ``faces`` (F, 3), ``number`` (F,) of each in
+    its file, from 1."""
+
+    vertices: FloatArray
+    up: FloatArray
+    faces: IntArray
+    number: IntArray
+
+    @property
+    def corners(self) -> FloatArray:
+        """Corners (F, 3, 3) of the triangles."""
+        return self.vertices[self.faces]
+
+
+def mesh_face(said: Said) -> Face:
+    """The face of a mesh file in its own unit or the stated one, scaled, turned over where that is wanted.
+    Raises `UnreadError`."""
+    found = read_facets(file_of(said))
+    size = UNITS[str(said["unit"])] if found.unit is None else found.unit
+    corners = found.corners * size * float(said.get("scale") or 1.0)
+    return face_of(corners, found.row, bool(said.get("flip")))
+
+
+def face_of(corners: FloatArray, number: IntArray, flip: bool) -> Face:
+    """The face of triangles (F, 3, 3) [m] of these numbers (F,), turned over where that is wanted. Raises
+    `UnreadError`."""
+    corners = corners[:, ::-1] if flip else corners
+    low = corners.reshape(-1, 3).min(axis=0)
+    step = max(float((corners.reshape(-1, 3).max(axis=0) - low).max()) * _SAME_VERTEX, 1e-15)
+    grid = np.rint((corners.reshape(-1, 3) - low) / step).astype(np.int64)
+    _, first, index = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    vertices, faces = corners.reshape(-1, 3)[first], index.reshape(-1, 3).astype(np.int64)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    kept = np.linalg.norm(cross, axis=1) > step * step
+    faces, number = faces[kept], number[kept]
+    if not len(faces):
+        raise UnreadError("all its faces have no area")
+    return Face(vertices, _normals(vertices, faces), faces, number)
+
+
+def loft_face(said: Said) -> Face:
+    """The face of a loft on a grid of exact places with exact normals."""
+    region = said.get("region") or {}
+    u0, u1 = (float(v) for v in region.get("u") or (0.0, 1.0))
+    v0, v1 = (float(v) for v in region.get("v") or (0.0, 1.0))
+    return gridded(lambda u, v: loft_points(said, u, v), (u0, u1), (v0, v1), bool(said.get("flip")))
+
+
+Places = Callable[[FloatArray, FloatArray], FloatArray]
+"""Places (N, 3) [m] of a surface at its parameters u and v (N,)."""
+
+
+def gridded(
+    at: Places,
+    u: tuple[float, float],
+    v: tuple[float, float],
+    flip: bool,
+    kinks: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0)),
+) -> Face:
+    """The face of a surface between parameters on a grid of exact places with exact normals, with ``kinks``
+    along u and v on its lines; away from the part is dS/du x dS/dv, or with ``flip`` the other way."""
+    cells = _cells(at, u, v)
+    places = [np.linspace(*ends, cells + 1) for ends in (u, v)]
+    for k, (low, high) in enumerate((u, v)):
+        inner = kinks[k][(kinks[k] > low) & (kinks[k] < high)]
+        every = np.union1d(places[k], inner)
+        near = _SAME_VERTEX * (high - low)
+        places[k] = every[np.append(True, np.diff(every) > near)]
+    grid = np.meshgrid(*places, indexing="ij")
+    uu, vv = (part.ravel() for part in grid)
+    points = at(uu, vv)
+    du, dv = _NORMAL_STEP * (u[1] - u[0]), _NORMAL_STEP * (v[1] - v[0])
+    along = at(uu + du, vv) - at(uu - du, vv)
+    across = at(uu, vv + dv) - at(uu, vv - dv)
+    up = np.cross(along, across)
+    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-300)
+    index = np.arange(len(uu)).reshape(grid[0].shape)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    if flip:
+        up, faces = -up, faces[:, ::-1]
+    return Face(points, up, faces, np.arange(1, len(faces) + 1))
+
+
+def _cells(surface: Places, u: tuple[float, float], v: tuple[float, float]) -> int:
+    """How many cells keep within `LOFT_CHORD`: what they are off falls with the square of their size."""
+    least, most = LOFT_CELLS
+    grid = np.meshgrid(np.linspace(*u, least + 1), np.linspace(*v, least + 1), indexing="ij")
+    at = surface(grid[0].ravel(), grid[1].ravel()).reshape(least + 1, least + 1, 3)
+    off = [at[1:-1:2] - 0.5 * (at[:-1:2] + at[2::2]), at[:, 1:-1:2] - 0.5 * (at[:, :-1:2] + at[:, 2::2])]
+    off.append(at[1:-1:2, 1:-1:2] - 0.5 * (at[:-1:2, :-1:2] + at[2::2, 2::2]))
+    far = max(float(np.linalg.norm(one, axis=2).max()) for one in off)
+    return int(np.clip(0.5 * least * np.sqrt(far / LOFT_CHORD), least, most))
+
+
+def loft_points(said: Said, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Places (N, 3) [m] of a loft at u along its row of curves and v along each curve (N,)."""
+    rail = said.get("rail")
+    curves = said.get("sections") if rail is None else said.get("profiles")
+    kind = "bezier_mm" if curves[0].get("bezier_mm") is not None else "bspline_mm"  # type: ignore[index]
+    at = np.array([float(curve["at"]) for curve in curves])  # type: ignore[union-attr]
+    control = blended(at, np.stack([row(curve[kind]) for curve in curves]), u)  # type: ignore[union-attr]
+    points = (bezier if kind == "bezier_mm" else bspline)(control, v)
+    if rail is None:
+        return points
+    angle = radians(rail["start_deg"]) + u * (radians(rail["end_deg"]) - radians(rail["start_deg"]))
+    out = metres(rail["radius_mm"]) + points[:, 0]
+    centre = [metres(value) for value in rail.get("centre_mm") or (0.0, 0.0, 0.0)]
+    return np.column_stack([out * np.cos(angle), out * np.sin(angle), points[:, 1]]) + centre
+
+
+def behind(front: Face, depth: float) -> Face:
+    """The front moved inwards by ``depth`` [m], facing the other way."""
+    return Face(front.vertices - depth * front.up, -front.up, front.faces[:, ::-1], front.number)
+
+
+def rims(face: Face) -> IntArray:
+    """Edges (E, 2) of one triangle only, with the face on their left."""
+    edges = np.concatenate([face.faces[:, [i, (i + 1) % 3]] for i in range(3)])
+    _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    return np.asarray(edges[np.sort(first[count == 1])])
+
+
+def edges_of(front: Face, back: Face, moved: bool) -> list[Ruled]:
+    """The ruled edges between the rims of both faces, point to point where the back is the front ``moved``,
+    else by the way along both; empty where a face has not one rim."""
+    loops = [_loop(rims(face)) for face in (front, back)]
+    if loops[0] is None or loops[1] is None:
+        return []
+    first = loops[0][::-1]  # against the front's sense, x the way to the back, points away from the part
+    start = front.vertices[first]
+    if moved:
+        ring = np.append(first, first[0])
+        return [Ruled(front.vertices[ring], back.vertices[ring])]
+    one, other = through(start, True, _CORNER_ANGLE), through(back.vertices[loops[1]], True, _CORNER_ANGLE)
+    return joined(one, other, "arc_length")
+
+
+def _loop(edges: IntArray) -> IntArray | None:
+    """The vertices of one closed line of edges in their order, None where there are several."""
+    onward = dict(edges.tolist())
+    if not len(edges) or len(onward) != len(edges):
+        return None
+    out = [int(edges[0, 0])]
+    while (follow := onward.get(out[-1])) is not None and follow != out[0] and len(out) <= len(edges):
+        out.append(follow)
+    return np.array(out, dtype=np.int64) if len(out) == len(edges) else None
+
+
+def _normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Unit normals (V, 3), each triangle's weighted by its angle at the vertex."""
+    out = np.zeros_like(vertices)
+    for k in range(3):
+        here, after, before = (vertices[faces[:, (k + i) % 3]] for i in range(3))
+        one, other = after - here, before - here
+        normal = np.cross(one, other)
+        size = np.linalg.norm(normal, axis=1, keepdims=True)
+        angle = np.arctan2(size[:, 0], np.einsum("ij,ij->i", one, other))
+        np.add.at(out, faces[:, k], angle[:, None] * normal / np.maximum(size, 1e-300))
+    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300))

@@ -1,0 +1,530 @@
+"""Rules on where robots are, and on the replayed motion of their joints and tools.
+
+verify.robot_model, kinematics: their files against the catalogue, and every link against Drake.
+verify.reach, corner, continuity, confdata, joint_limits, rod_limits, joint_speed,
+joint_acceleration, singularity, tcp_speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from planner.catalogue.robots import RobotData
+from planner.cell.plant import CellModel
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.issues import Issue, TandemError
+from planner.problem import Cell
+from planner.programs.job import TaskText
+from planner.programs.steps import MoveStep, RobTarget
+from planner.proof.context import Context, Outcome, at_node, at_sample, at_step, mm, rule
+from planner.proof.kinematics import arm_model
+from planner.proof.kinematics.inverse_kinematics import singularity_distance
+from planner.proof.replay.moves import driven_knots
+from planner.proof.replay.tool_speeds import tool_speeds
+from planner.proof.rules.setups_and_frames import at_home
+
+JOINT_JUMP = np.deg2rad(8.0)
+"""A joint that turns farther than this [rad] from one sample to the next (4 ms) has changed its solution,
+not moved."""
+TCP_SLACK = 1.10
+"""The replay's ramps may exceed the planned speed between targets by this factor."""
+UNTIMED_TURN_RATE = np.deg2rad(90.0)
+"""Fastest turning [rad/s] that may be stated for moves that have no time: what a tool has far from its TCP
+moves with it."""
+_SAMPLES_AT_ONCE = 65_536
+"""Samples that are worked out at once where much is needed on the way."""
+
+
+@rule("verify.reach")
+def reach(context: Context) -> Outcome:
+    """The arms can go the path that the text states."""
+    issues = [
+        Issue("verify.reach", fault.message, file=fault.task, line=fault.line, index=fault.index)
+        for fault in context.motion.faults
+        if fault.kind in ("reach", "motion")
+    ]
+    return Outcome(tuple(issues))
+
+
+@rule("verify.corner")
+def corners(context: Context) -> Outcome:
+    """No zone joins a joint move and a straight one."""
+    issues = [
+        Issue(
+            "verify.corner",
+            fault.message,
+            file=fault.task,
+            line=fault.line,
+            index=fault.index,
+            hint="stop there",
+        )
+        for fault in context.motion.faults
+        if fault.kind == "corner"
+    ]
+    return Outcome(tuple(issues))
+
+
+@rule("verify.continuity")
+def continuity(context: Context) -> Outcome:
+    """The joints go on from where they were, from home to home: no jump between samples or moves."""
+    motion = context.motion
+    issues, worst = [], 0.0
+    for task in context.job.tasks:
+        moves = [step for step in task.steps if isinstance(step, MoveStep)]
+        edges = zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False)
+        if task.trajectory is not None:  # verify.start_posture has it begin at home
+            edges = zip(moves[-1:], ("last",), strict=False)
+        for move, word in edges:
+            if not at_home(move, task.arm.data, task.arm.home):
+                what = f"the {word} move of {task.arm.name} does not go home by its joints"
+                issues.append(at_step("verify.continuity", what, task, move))
+    for arm, q in motion.q.items():
+        jumps = np.zeros(max(len(q) - 1, 0), dtype=bool)
+        for angle in q.T:  # one at a time: a long motion has many samples
+            step = np.abs(np.diff(angle))
+            worst = max(worst, float(np.rad2deg(step.max(initial=0.0))))
+            jumps |= step > JOINT_JUMP
+        for i in np.flatnonzero(jumps)[:20]:
+            steps = np.abs(q[i + 1] - q[i])
+            joint = int(np.argmax(steps))
+            message = f"axis {joint + 1} jumps by {np.rad2deg(steps[joint]):.2f} deg between two samples"
+            issues.append(
+                at_sample(
+                    "verify.continuity",
+                    message,
+                    context.motion,
+                    arm,
+                    int(i) + 1,
+                    (float(np.rad2deg(steps[joint])), float(np.rad2deg(JOINT_JUMP)), "deg"),
+                    (f"axis {joint + 1}",),
+                )
+            )
+    return Outcome(tuple(issues), worst, float(np.rad2deg(JOINT_JUMP)), "deg")
+
+
+@rule("verify.confdata")
+def confdata(context: Context) -> Outcome:
+    """RAPID: confdata alone select the joint solution that the motion has at each target; those of an arm
+    with an offset wrist are all 0."""
+    motion = context.motion
+    issues, worst = [], 0.0
+    for task in context.job.tasks:
+        arm = task.arm.name
+        if not task.rapid:
+            continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
+        if task.arm.data.unnamed:
+            # such arms run with ConfL\Off; with parallel rods the numbers of single axes mean what they say
+            if arm_model.machine_of(task.arm.data).followed:
+                issues += list(_named_postures(task))
+            continue
+        selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]
+        straight = _straight(context, arm)
+        none = straight & ~np.isfinite(selected).all(axis=1)
+        far = np.abs(np.where(np.isfinite(selected), selected, here) - here).max(axis=1)
+        wrong = straight & (none | (far > JOINT_JUMP) | ~motion.node_conf_ok[arm])
+        worst = max(worst, float(np.rad2deg(far[straight].max()))) if straight.any() else worst
+        for i in np.flatnonzero(wrong):
+            what = (
+                "select no joint solution" if none[i] else "select another joint solution than the motion has"
+            )
+            issues.append(at_node("verify.confdata", f"the confdata {what}", context.motion, arm, int(i)))
+    return Outcome(tuple(issues), worst, float(np.rad2deg(JOINT_JUMP)), "deg")
+
+
+def _named_postures(task: TaskText) -> Iterator[Issue]:
+    """Targets that name a posture of an arm of which nobody knows how confdata name them: a controller that
+    heeds them might take another one than the motion has."""
+    for step in task.steps:
+        if isinstance(step, MoveStep) and isinstance(step.target, RobTarget) and any(step.target.conf or ()):
+            shown = ",".join(map(str, step.target.conf or ()))
+            what = f"the confdata are [{shown}]; of this arm they are [0,0,0,0], as postures have no names"
+            yield at_step("verify.confdata", what, task, step)
+
+
+@rule("verify.joint_limits")
+def joint_limits(context: Context) -> Outcome:
+    """Every axis stays within its limits."""
+    issues, least, where = [], np.inf, ""
+    for task in context.job.tasks:
+        machine, arm = task.arm.data, task.arm.name
+        q = context.motion.q[arm]
+        # one axis at a time: a long motion has many samples
+        rows = np.array([*(int(axis.argmin()) for axis in q.T), *(int(axis.argmax()) for axis in q.T)])
+        ends = q[rows, np.tile(np.arange(q.shape[1]), 2)].reshape(2, -1)
+        margin = np.concatenate([ends[0] - machine.lower, machine.upper - ends[1]])
+        k = int(np.argmin(margin))
+        i, joint = int(rows[k]), k % len(machine.lower)
+        if margin[k] < least:
+            least, where = float(margin[k]), f"{arm} axis {joint + 1}"
+        if margin[k] < 0.0:
+            value, limit = (
+                np.rad2deg(q[i, joint]),
+                np.rad2deg((machine.lower if q[i, joint] < 0 else machine.upper)[joint]),
+            )
+            message = (
+                f"axis {joint + 1} of {arm} is at {value:.2f} deg; allowed: "
+                f"{np.rad2deg(machine.lower[joint]):g} to {np.rad2deg(machine.upper[joint]):g}"
+            )
+            issues.append(
+                at_sample(
+                    "verify.joint_limits",
+                    message,
+                    context.motion,
+                    arm,
+                    i,
+                    (float(value), float(limit), "deg"),
+                    (f"axis {joint + 1}",),
+                )
+            )
+    return Outcome(tuple(issues), float(np.rad2deg(least)), 0.0, "deg margin", where)
+
+
+@rule("verify.rod_limits")
+def rod_limits(context: Context) -> Outcome:
+    """Parallel-rod arms: the controller's axis 3, serial angle plus axis 2, is within its own limits too."""
+    issues, least = [], np.inf
+    for task in context.job.tasks:
+        machine, arm = task.arm.data, task.arm.name
+        if machine.coupling is None:
+            continue
+        axis3 = context.motion.q[arm][:, 1] + context.motion.q[arm][:, 2]
+        margin = np.minimum(axis3 - machine.coupling.axis3_lower, machine.coupling.axis3_upper - axis3)
+        i = int(np.argmin(margin))
+        least = min(least, float(margin[i]))
+        if margin[i] < 0.0:
+            low, high = np.rad2deg([machine.coupling.axis3_lower, machine.coupling.axis3_upper])
+            message = (
+                f"axis 3 of {arm}, as the controller counts it, is at {np.rad2deg(axis3[i]):.2f} deg; "
+                f"allowed: {low:g} to {high:g}"
+            )
+            issues.append(
+                at_sample(
+                    "verify.rod_limits",
+                    message,
+                    context.motion,
+                    arm,
+                    i,
+                    (float(np.rad2deg(axis3[i])), float(high), "deg"),
+                    ("axis 3",),
+                )
+            )
+    if not np.isfinite(least):
+        return Outcome(nothing="no parallel-rod arm")
+    return Outcome(tuple(issues), float(np.rad2deg(least)), 0.0, "deg margin")
+
+
+@rule("verify.joint_speed")
+def joint_speed(context: Context) -> Outcome:
+    """Joint speeds that the times ask for are within the robot's."""
+    return _rates(context, "verify.joint_speed", "speed", context.motion.speed, "deg/s")
+
+
+@rule("verify.joint_acceleration")
+def joint_acceleration(context: Context) -> Outcome:
+    """Joint accelerations that the times ask for are within the robot's."""
+    return _rates(
+        context, "verify.joint_acceleration", "acceleration", context.motion.acceleration, "deg/s^2"
+    )
+
+
+def _rates(
+    context: Context, code: str, word: str, rates: Callable[[str, int | slice], FloatArray], unit: str
+) -> Outcome:
+    issues, worst, where = [], 0.0, ""
+    for task in context.job.tasks:
+        machine, arm = task.arm.data, task.arm.name
+        limit = machine.velocity if word == "speed" else machine.acceleration
+        over = np.zeros(len(context.motion.time), dtype=bool)
+        for joint in range(len(limit)):  # one at a time: a long motion has many samples
+            share = np.abs(rates(arm, joint)) / limit[joint]
+            i = int(np.argmax(share))
+            if share[i] > worst:
+                worst, where = float(share[i]), f"{arm} axis {joint + 1}"
+            over |= share > 1.0
+        if task.trajectory is not None:  # samples may lie beside the peak of a short cubic
+            share, line = trajectory_peaks(task, word == "speed")
+            if share > worst:
+                worst, where = share, f"{arm}, line {line}"
+            if share > 1.0 and not over.any():
+                what = f"between two points a joint of {arm} would need {100.0 * share:.1f} % of its {word}"
+                issues.append(Issue(code, what, arm=arm, line=line, file=task.trajectory.program.file))
+        nodes = np.unique(context.motion.node[over])
+        share = np.abs(rates(arm, slice(None))) / limit if len(nodes) else np.zeros((0, len(limit)))
+        for node in nodes[:200]:
+            rows = np.flatnonzero(context.motion.node == node)
+            k = int(rows[np.argmax(share[rows].max(axis=1))])
+            axis = int(np.argmax(share[k]))
+            value, most = float(np.rad2deg(share[k, axis] * limit[axis])), float(np.rad2deg(limit[axis]))
+            message = (
+                f"axis {axis + 1} of {arm} would need the {word} {value:.1f} {unit}; allowed: {most:.1f}"
+            )
+            issues.append(
+                at_sample(code, message, context.motion, arm, k, (value, most, unit), (f"axis {axis + 1}",))
+            )
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the limit", where)
+
+
+@rule("verify.singularity")
+def singularity(context: Context) -> Outcome:
+    """The arms keep off their singular postures by the problem's margin wherever they move straight."""
+    issues, least, where = [], np.inf, ""
+    limit = context.problem.settings.singularity_margin
+    for task in context.job.tasks:
+        arm = task.arm.name
+        rows = np.flatnonzero(_straight(context, arm)[context.motion.node])
+        if not len(rows):
+            continue
+        parts = np.array_split(rows, len(rows) // _SAMPLES_AT_ONCE + 1)
+        machine, q = arm_model.machine_of(task.arm.data), context.motion.q[arm]
+        distance = np.concatenate([singularity_distance(machine, q[part]) for part in parts])
+        k = int(np.argmin(distance))
+        if distance[k] < least:
+            least, where = float(distance[k]), arm
+        if distance[k] < limit - np.deg2rad(0.05):
+            value = float(np.rad2deg(distance[k]))
+            message = (
+                f"{arm} comes within {value:.2f} deg of a singular posture; allowed: {np.rad2deg(limit):.2f}"
+            )
+            issues.append(
+                at_sample(
+                    "verify.singularity",
+                    message,
+                    context.motion,
+                    arm,
+                    int(rows[k]),
+                    (value, float(np.rad2deg(limit)), "deg"),
+                )
+            )
+    return Outcome(tuple(issues), float(np.rad2deg(least)), float(np.rad2deg(limit)), "deg", where)
+
+
+@rule("verify.tcp_speed")
+def tcp_speed(context: Context) -> Outcome:
+    """The tools move no faster than the problem allows: where the text states the time of a move by what
+    follows from it, elsewhere by the speed that it states; on the cubics of trajectories at every instant."""
+    motion = context.motion
+    issues, worst, where = [], 0.0, ""
+    limit = context.problem.settings.tcp_speed
+    for task in context.job.tasks:
+        arm = task.arm.name
+        if task.trajectory is not None:
+            own = tool_speeds(context)[arm]
+            k = int(np.argmax(own.world)) if len(own.world) else 0
+            if len(own.world) and own.world[k] > worst:
+                worst, where = float(own.world[k]), arm
+            for k in np.flatnonzero(own.world > limit * (1.0 + 1e-6))[:20].tolist():
+                message = f"the tool of {arm} moves at up to {mm(own.world[k]):.1f} mm/s; allowed: "
+                issues.append(at_step("verify.tcp_speed", f"{message}{mm(limit):.1f}", task, own.moves[k]))
+            continue
+        timed = _timed(context)[motion.node[1:]] & (motion.stage[1:] == motion.stage[:-1])
+        place, speed = motion.tcp[arm].place, np.zeros(len(timed))
+        for begin in range(0, len(timed), _SAMPLES_AT_ONCE):
+            some = slice(begin, min(begin + _SAMPLES_AT_ONCE, len(timed)))
+            step = np.linalg.norm(np.diff(place[some.start : some.stop + 1], axis=0), axis=1)
+            spent = np.maximum(np.diff(motion.time[some.start : some.stop + 1]), 1e-6)
+            speed[some] = np.where(timed[some], step / spent, 0.0)
+        if len(speed):
+            k = int(np.argmax(speed))
+            if speed[k] > worst:
+                worst, where = float(speed[k]), arm
+            if speed[k] > TCP_SLACK * limit:
+                message = f"the tool of {arm} moves at {mm(speed[k]):.1f} mm/s; allowed: {mm(limit):.1f}"
+                measure = (mm(speed[k]), mm(limit), "mm/s")
+                issues.append(at_sample("verify.tcp_speed", message, motion, arm, k + 1, measure))
+        for step_ in task.steps:
+            if not isinstance(step_, MoveStep) or step_.time is not None or step_.speed.axes is not None:
+                continue
+            stated = step_.velocity if step_.velocity is not None else step_.speed.tcp
+            if stated > limit * (1.0 + 1e-6):
+                message = f"the move's speed is {mm(stated):g} mm/s; allowed: {mm(limit):g} mm/s"
+                issues.append(at_step("verify.tcp_speed", message, task, step_))
+            if step_.speed.turn > UNTIMED_TURN_RATE:
+                message = (
+                    f"the tool may turn at {np.rad2deg(step_.speed.turn):g} deg/s in a move without a time; "
+                    f"allowed: {np.rad2deg(UNTIMED_TURN_RATE):g} deg/s"
+                )
+                issues.append(at_step("verify.tcp_speed", message, task, step_))
+    return Outcome(tuple(issues), mm(worst), mm(limit), "mm/s", where)
+
+
+def _timed(context: Context) -> BoolArray:
+    """Moves (K,) in which some arm runs by a stated time, or by stated shares of its axes' speeds."""
+    motion = context.motion
+    out = np.zeros(len(motion.node_segment), dtype=bool)
+    for number, stage in enumerate(context.job.stages):
+        rows = np.flatnonzero(motion.node_stage == number)
+        for task in context.job.tasks:
+            moves = stage.moves(task.name)[: len(rows)]
+            flags = [move.time is not None or move.speed.axes is not None for move in moves]
+            out[rows[: len(flags)]] |= np.array(flags, dtype=bool)
+    return out
+
+
+def _straight(context: Context, arm: str) -> BoolArray:
+    """Nodes (K,) that the arm reaches by a straight move."""
+    key = f"_straight_{arm}"
+    if key not in context.__dict__:
+        lines = context.motion.node_line[arm]
+        task = next(task for task in context.job.tasks if task.arm.name == arm)
+        flags = np.zeros(len(lines), dtype=bool)
+        place = 0
+        stages = context.motion.node_stage
+        for number, stage in enumerate(context.job.stages):
+            moves = stage.moves(task.name)
+            rows = np.flatnonzero((stages == number) & (lines > 0))
+            for row, move in zip(rows, moves, strict=False):
+                flags[row] = not move.by_joints
+            place += len(rows)
+        context.__dict__[key] = flags
+    found: BoolArray = context.__dict__[key]
+    return found
+
+
+def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
+    """The largest share of a limit that a joint of an arm needs on the cubics of its trajectories, of its
+    ``speed`` or else of its acceleration, and the line of the point behind; exactly, whatever the samples."""
+    robot = task.arm.data
+    steps = [step for step in task.steps if isinstance(step, MoveStep)]
+    if not steps:
+        return 0.0, 0
+    q, v = driven_knots(robot, steps, task.arm.home)
+    span = np.array([max(step.time or 0.0, 1e-9) for step in steps])[:, None]
+    mean, before, v = np.diff(q, axis=0) / span, v[:-1], v[1:]
+    first = (6.0 * mean - 4.0 * before - 2.0 * v) / span
+    last = (2.0 * before + 4.0 * v - 6.0 * mean) / span
+    if speed:
+        turn = np.clip(first / np.where(first == last, np.inf, first - last), 0.0, 1.0)  # acceleration 0
+        middle = before + span * turn * (first + 0.5 * turn * (last - first))
+        share = np.abs(np.stack([before, v, middle])).max(axis=0) / robot.velocity
+    else:
+        share = np.maximum(np.abs(first), np.abs(last)) / robot.acceleration
+    most = share.max(axis=1)
+    worst = int(np.argmax(most))
+    return float(most[worst]), steps[worst].line
+
+
+Models = Callable[[int], CellModel]
+
+DRAKE_SAMPLES: Final = 1000
+"""Samples of a motion at which every link is held against Drake; each setup has a tenth of them at least."""
+LINK_ERROR: Final = 1e-9
+"""How far two ways to work out where a link is may differ [m, and in each entry of the rotation]."""
+TCP_ERROR: Final = 1e-6
+"""How far a tool may be from where the replay has it [m]: the text's figures of the tool are rounded."""
+
+
+@rule("verify.robot_model")
+def robot_model(context: Context) -> Outcome:
+    """The robots' URDF files are those of arms that the proof can follow, and dimensions and limits that
+    the programs were planned with are theirs."""
+    issues: list[Issue] = []
+    cells = [context.problem.cell, *(setup.cell for setup in context.setups)]
+    names = {arm.robot: arm.data for cell in cells for arm in cell.arms}
+    for name, data in sorted(names.items()):
+        try:
+            differ = arm_model.differences(arm_model.machine_of(data))
+        except TandemError as error:
+            issues += error.issues
+            continue
+        issues += [
+            Issue(arm_model.ROBOT_MODEL, f"the robot {name}: {what}", hint=arm_model.hint_of(data))
+            for what in differ
+        ]
+    for given, data in _from_files(context.problem.source, context.problem.cell):
+        issues += [
+            Issue(arm_model.ROBOT_MODEL, f"the robot {data.name}: {what}", hint=arm_model.hint_of(data))
+            for what in arm_model.stated_otherwise(given, data)
+        ]
+    return Outcome(tuple(issues), where=", ".join(sorted(names)))
+
+
+def _from_files(source: Mapping[str, Any], cell: Cell) -> Iterator[tuple[Mapping[str, Any], RobotData]]:
+    """What the problem states of each robot from a file, and its data."""
+    stated = source.get("cell", {}).get("arms", []) if isinstance(source.get("cell"), Mapping) else []
+    for arm, own in zip(cell.arms, stated, strict=False):
+        if arm.given is not None:
+            yield (own["robot"] if isinstance(own["robot"], Mapping) else {}), arm.given
+
+
+@rule("verify.kinematics")
+def kinematics(context: Context, models: Models) -> Outcome:
+    """Drake puts every link where the robots' files do, and so does what bounds the clearance; the tools,
+    and the block that one holds, are where the replay has them."""
+    issues: list[Issue] = []
+    worst, count = 0.0, 0
+    total = len(context.sample_setup)
+    for index in range(len(context.setups)):
+        rows = np.flatnonzero(context.sample_setup == index)
+        if not len(rows):
+            continue
+        wanted = max(DRAKE_SAMPLES * len(rows) // total, DRAKE_SAMPLES // 10)
+        some = rows[np.unique(np.linspace(0, len(rows) - 1, wanted).astype(np.int64))]
+        found, off = _setup(context, models(index), index, some)
+        issues += found
+        worst, count = max(worst, off), count + len(some)
+    return Outcome(tuple(issues), mm(worst), mm(TCP_ERROR), "mm", f"every link at {count} samples")
+
+
+def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tuple[list[Issue], float]:
+    """Bodies of a setup that are elsewhere by one way than by another at samples ``rows`` (K,), each at its
+    worst sample, and how far the replay is off Drake [m]."""
+    motion, model = context.motion, model.with_bases(context.ridden(index, rows))
+    at_home = {arm.name: np.tile(arm.home, (len(rows), 1)) for arm in model.cell.arms}
+    q = at_home | {arm: np.asarray(angles[rows]) for arm, angles in motion.links.items()}
+    drake = _drake(model, q)
+    held = context.holder(index)
+    tools = {f"{arm}/tool": model.cell.arm(arm).tool.tcp for arm in motion.q}
+    replayed = {name: motion.tcp[name.removesuffix("/tool")][rows] for name in tools}
+    if held is not None and held.arm in motion.q:
+        replayed["stock"], tools["stock"] = context.stock_poses(index, rows), np.eye(4)
+    places = {name: drake[name] @ tool for name, tool in tools.items()}
+    issues, worst = [], 0.0
+    for words, ours, theirs, limit in (
+        ("by the chain of its URDF, and by Drake", _chains(model, q), drake, LINK_ERROR),
+        ("by what bounds the clearance, and by Drake", model.poses(q), drake, LINK_ERROR),
+        ("by the replay, and by Drake", replayed, places, TCP_ERROR),
+    ):
+        for name in sorted(ours.keys() & theirs.keys()):
+            off = np.abs(ours[name] - theirs[name]).reshape(len(rows), -1).max(axis=1)
+            k = int(np.argmax(np.where(np.isfinite(off), off, np.inf)))
+            worst = max(worst, float(off[k]))
+            if not off[k] <= limit:
+                message = f"{name} is at two places that are {mm(off[k]):.6f} mm apart: {words}"
+                arm = name.split("/")[0] if name.split("/")[0] in motion.q else next(iter(motion.q))
+                sample, measure = int(rows[k]), (mm(off[k]), mm(limit), "mm")
+                issues.append(at_sample("verify.kinematics", message, motion, arm, sample, measure, (name,)))
+    return issues, worst
+
+
+def _drake(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Poses (K, 4, 4) in the world of all links and tools, and of a held block, by Drake's plant."""
+    names = [f"{arm}/{link}" for arm in model.arms for link in _bodies(len(model.cell.arm(arm).home))]
+    names += ["stock"] if model.stock.held_by is not None else []
+    some = [model.body(name) for name in names]
+    rows = model.stack(q)
+    out = np.empty((len(some), len(rows), 4, 4))
+    plant = model.plant
+    for k, row in enumerate(rows):
+        at = model.at_rows(k).checker.UpdatePositions(row)
+        for i, body in enumerate(some):
+            out[i, k] = plant.EvalBodyPoseInWorld(at, body).GetAsMatrix4()
+    return dict(zip(names, out, strict=True))
+
+
+def _bodies(joints: int) -> tuple[str, ...]:
+    """Bodies of an arm of so many joints from its base to its tool."""
+    return ("base_link", *(f"link_{i + 1}" for i in range(joints)), "tool")
+
+
+def _chains(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """The same of the links and the flange, which a tool's body stands in, by the chains of the URDFs."""
+    out = {}
+    for arm, rows in q.items():
+        chain = arm_model.machine_of(model.cell.arm(arm).data).chain
+        frames = model.bases[arm].reshape(-1, 1, 4, 4) @ chain.frames(rows)
+        for i, link in enumerate(_bodies(len(chain.axis))[1:]):
+            out[f"{arm}/{link}"] = frames[:, i]
+    return out

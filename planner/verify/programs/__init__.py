@@ -1,1 +1,0 @@
-"""Programs in any robot language: steps, text, what operators read, meetings of two controllers."""

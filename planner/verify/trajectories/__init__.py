@@ -1,1 +1,0 @@
-"""Joint trajectories of ROS 2 read strictly: from rows to the straight way of each arm."""

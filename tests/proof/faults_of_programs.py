@@ -1,0 +1,386 @@
+"""Faults in how programs are written: units, frames, quaternions, rounding, order, arms, zones, signals."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Any, Final
+
+import numpy as np
+
+from planner.languages.writing.handshake import Ask, AwaitLine, AwaitRunning, Halt, SetLine
+from tests.proof.planner_faults import Fault, always, fields, given, of, result
+
+
+def _scaled(share: float) -> Any:
+    return lambda old: share * old
+
+
+def _positions(change: Any) -> Any:
+    """Positions [mm] of the arms as they are written."""
+    return result(lambda written: {arm: (change(p), q) for arm, (p, q) in written.items()})
+
+
+def _quaternions(change: Any) -> Any:
+    return result(lambda written: {arm: (p, change(q)) for arm, (p, q) in written.items()})
+
+
+def _every_second(rows: Any) -> Any:
+    return np.unique(np.append(rows[1::2], rows[-1]))
+
+
+def _one_lost(rows: Any) -> Any:
+    return np.delete(rows, len(rows) // 2)
+
+
+def _swapped(written: Any) -> Any:
+    a, b = written
+    return {a: written[b], b: written[a]}
+
+
+def _actions(change: Any) -> Any:
+    return given(1, change)
+
+
+def _lines(pattern: str, new: str, count: int = 0) -> Any:
+    """The text of each program that is written, changed."""
+    return result(lambda made: {name: re.sub(pattern, new, text, count=count) for name, text in made.items()})
+
+
+def _no_wait(steps: Any) -> Any:
+    return [step for step in steps if not isinstance(step, AwaitLine)]
+
+
+def _set_twice(steps: Any) -> Any:
+    return [SetLine(1 - step.value) if isinstance(step, SetLine) else step for step in steps]
+
+
+def _turned_back(angles: Any) -> Any:
+    return angles[..., ::-1]
+
+
+def _moved(x: float = 0.0, z: float = 0.0) -> Any:
+    """A pose (4, 4) moved in the frame that it is in [m]."""
+
+    def move(pose: Any) -> Any:
+        out = np.array(pose)
+        out[:3, 3] += [x, 0.0, z]
+        return out
+
+    return move
+
+
+def _tool(tcp: Any) -> Any:
+    return lambda tool: of(tool, tcp=tcp)
+
+
+def _ids_off(old: Any) -> Any:
+    """One task counts its moves from 2."""
+
+    def moves(task: Any, job: Any, zone: Any) -> Any:
+        made = old(task, job, zone)
+        if task.number == 1:
+            return made
+        return [
+            [re.sub(r"ID:=(\d+)", lambda m: f"ID:={int(m[1]) + 1}", line) for line in some] for some in made
+        ]
+
+    return moves
+
+
+def _no_look(steps: Any) -> Any:
+    return [step for step in steps if not isinstance(step, AwaitRunning)]
+
+
+def _goes_on(steps: Any) -> Any:
+    """The lead asks without stopping."""
+    return [Ask(step.text) if isinstance(step, Halt) else step for step in steps]
+
+
+def _every_other_call(old: Any) -> Any:
+    return lambda partner, number: old(partner, number) if number % 2 or partner.lead else ""
+
+
+def _first_alone(old: Any) -> Any:
+    """Nobody waits for the other arm to stand at home, nor at its first target."""
+
+    def meet(self: Any, reached: str, *more: Any) -> None:
+        if "first target" not in reached and "at home" not in reached:
+            old(self, reached, *more)
+
+    return meet
+
+
+def _inverted(lines: Any) -> Any:
+    swap = {",0;": ",1;", ",1;": ",0;"}
+    return [s[:-3] + swap[s[-3:]] if s.startswith("SetDO") else s for s in lines]
+
+
+def _slack_off(plan: Any) -> Any:
+    """The split of the slack is written 2 cm off what was planned."""
+    values = plan.values.copy()
+    values[:, 0] += 0.02
+    return dataclasses.replace(plan, values=values)
+
+
+def _other_names(partner: Any) -> Any:
+    """Each program sets and reads the lines of the other one."""
+    return partner and dataclasses.replace(partner, arm=partner.other, other=partner.arm)
+
+
+def _first_off(station: Any) -> Any:
+    """The first external axis is a millimetre farther."""
+    return station and ((station[0][0], station[0][1] + 1.0), *station[1:])
+
+
+def _values_swapped(station: Any) -> Any:
+    """Two external axes have each other's values."""
+    return station and ((station[0][0], station[1][1]), (station[1][0], station[0][1]))
+
+
+def _in_metres(station: Any) -> Any:
+    return station and tuple((column, round(1e-3 * value, 4)) for column, value in station)
+
+
+def _other_columns(along: Any) -> Any:
+    """Directions of two external axes, each as that of the other."""
+    return dict(zip(along, reversed(along.values()), strict=True))
+
+
+RAPID: Final = (
+    Fault("post_metres", "posed", {"post.steps:_written": _positions(_scaled(1e-3))}),
+    Fault("post_rounded_to_mm", "posed", {"post.steps:_written": _positions(np.round)}),
+    Fault("post_rounded_wing", "wing", {"post.steps:_written": _positions(np.round)}),
+    Fault("post_rounded_dish", "dsif", {"post.steps:_written": _positions(np.round)}),
+    Fault(
+        "post_quaternion_last",
+        "posed",
+        {"post.steps:_written": _quaternions(lambda q: np.roll(q, -1, axis=1))},
+    ),
+    Fault(
+        "post_quaternion_conjugate",
+        "flank",
+        {"post.steps:_written": _quaternions(lambda q: q * [1, -1, -1, -1])},
+    ),
+    Fault("post_mirrored", "ruled", {"post.steps:_written": _positions(lambda p: p * [1.0, -1.0, 1.0])}),
+    Fault("post_axes_swapped", "oval", {"post.steps:_written": _positions(lambda p: p[:, [1, 0, 2]])}),
+    Fault("post_arms_swapped", "dsif", {"post.steps:_written": result(_swapped)}),
+    Fault("post_arms_swapped_wire", "elastic", {"post.steps:_written": result(_swapped)}),
+    Fault(
+        "post_spin_lost",
+        "posed",
+        {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))},
+    ),
+    Fault(
+        "post_slide_lost",
+        "held",
+        {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))},
+    ),
+    Fault(
+        "post_spin_twice",
+        "posed",
+        {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
+    ),
+    Fault(
+        "post_tilt_twice",
+        "dsif",
+        {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
+    ),
+    Fault("post_slack_off", "elastic", {"post.steps:_written": given(0, _slack_off)}),
+    Fault("gantry_value_off", "gantry", {"post.steps:_outer": result(_first_off)}),
+    Fault("gantry_values_swapped", "gantry", {"post.steps:_outer": result(_values_swapped)}),
+    Fault("gantry_values_swapped_krl", "gantry_krl", {"post.steps:_outer": result(_values_swapped)}),
+    Fault("gantry_in_metres", "gantry", {"post.steps:_outer": result(_in_metres)}),
+    Fault("gantry_order_reversed", "gantry", {"problem:in_turn": result(lambda names: names[::-1])}),
+    Fault("gantry_unit_off", "gantry", {"post.rapid.program:identifier": given(0, lambda u: f"{u}_2")}),
+    Fault("gantry_look_swapped", "gantry_krl", {"post.krl.syntax:robroot_check": given(2, _other_columns)}),
+    Fault("post_every_second", "posed", {"post.steps:_kept": result(_every_second)}),
+    Fault("post_every_second_cut", "wing", {"post.steps:_kept": result(_every_second)}),
+    Fault("post_target_lost", "posed", {"post.steps:_kept": result(_one_lost)}),
+    Fault("post_times_halved", "ruled", {"post.steps:_durations": result(_scaled(0.5))}),
+    Fault("post_times_doubled", "elastic", {"post.steps:_durations": result(_scaled(3.0))}),
+    Fault(
+        "post_stops_lost",
+        "plate",
+        {"post.steps:_stops": result(lambda s: np.append(np.zeros(len(s) - 1, dtype=bool), True))},
+    ),
+    Fault("post_work_object_world", "spif", {"post.rapid.data:wobj_name": given(0, lambda f: "world")}),
+    Fault(
+        "post_place_moved",
+        "flank",
+        {
+            "post.rapid.data:_wobjs": given(
+                2, lambda plan: of(plan, places=lambda ps: tuple(map(_moved(x=0.005), ps)))
+            )
+        },
+    ),
+    Fault(
+        "post_held_frame_lost",
+        "held",
+        {
+            "post.rapid.data:_held": given(
+                1, lambda op: of(op, arm=lambda a: of(a, tool=lambda t: of(t, tcp=lambda p: np.eye(4))))
+            )
+        },
+    ),
+    Fault(
+        "post_tool_length", "posed", {"post.rapid.data:_tool": given(0, lambda t: of(t, tcp=_moved(z=0.001)))}
+    ),
+    Fault(
+        "post_tool_turned",
+        "ruled",
+        {
+            "post.rapid.data:_tool": given(
+                0, lambda t: of(t, tcp=lambda p: p @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+            )
+        },
+    ),
+    Fault(
+        "post_tool_weightless",
+        "ruled",
+        {"post.rapid.data:_tool": given(0, lambda t: of(t, mass=_scaled(0.1)))},
+    ),
+    Fault(
+        "post_base_frame_off",
+        "elastic",
+        {
+            "post.steps:build": result(
+                lambda job: of(job, tasks=lambda ts: tuple(of(t, base=_moved(x=0.01)) for t in ts))
+            )
+        },
+    ),
+    Fault("post_confdata_zero", "ruled", {"post.rapid.syntax:confdata": result(_scaled(0))}),
+    Fault(
+        "post_zones_large",
+        "spif",
+        {"post.rapid.syntax:zones": lambda old: lambda track, stop: np.where(stop, "fine", "z10")},
+    ),
+    Fault(
+        "post_zones_none_fine",
+        "plate",
+        {
+            "post.rapid.syntax:zones": lambda old: (
+                lambda track, stop: np.where(old(track, stop) == "fine", "z10", old(track, stop))
+            )
+        },
+    ),
+    Fault(
+        "post_corners_wide",
+        "flank_rough",
+        {"geometry.corner_rounding:room": result(lambda r: tuple(8.0 * v for v in r))},
+    ),
+    Fault("post_joints_degrees", "posed", {"post.rapid.syntax:jointtarget": given(0, np.deg2rad)}),
+    Fault(
+        "post_waits_ms",
+        "ruled",
+        {"post.rapid.syntax:action_lines": given(0, lambda a: of(a, seconds=_scaled(1e-3)))},
+    ),
+    Fault("post_signal_inverted", "elastic", {"post.rapid.syntax:action_lines": result(_inverted)}),
+    Fault("post_question_lost", "elastic", {"post.rapid.syntax:box": always([])}),
+    Fault("post_meeting_lost", "posed_two", {"post.steps:_Builder._meet": _first_alone}),
+    Fault("post_ids_off", "posed_two", {"post.rapid.program:_moves": _ids_off}),
+    Fault("post_load_moved", "held", {"post.steps:_load": fields(cog=lambda c: c + 0.1)}),
+)
+
+HANDSHAKE: Final = (
+    Fault("handshake_no_wait", "handshake", {"post.handshake:Partner.meeting": result(_no_wait)}),
+    Fault("handshake_levels_inverted", "handshake", {"post.handshake:Partner.meeting": result(_set_twice)}),
+    Fault(
+        "handshake_both_lead",
+        "handshake",
+        {"post.handshake:Partner.of": result(lambda p: None if p is None else of(p, lead=lambda v: True))},
+    ),
+    Fault("handshake_wires_swapped", "handshake", {"post.handshake:Partner.of": result(_other_names)}),
+    Fault(
+        "handshake_fewer_meetings",
+        "dsif_handshake",
+        {"post.handshake:meeting_rows": given(1, lambda every: 10 * every)},
+    ),
+    Fault("running_not_looked_at", "handshake", {"post.handshake:Partner.meeting": result(_no_look)}),
+    Fault("running_not_seen_at_0", "handshake", {"post.handshake:Partner.start": result(_no_look)}),
+    Fault("running_lead_goes_on", "handshake", {"post.handshake:Partner.start": result(_goes_on)}),
+    Fault("handshake_meetings_lost", "handshake", {"post.rapid.program:partner_call": _every_other_call}),
+    Fault(
+        "handshake_not_stretched",
+        "dsif_handshake",
+        {"post.handshake:stretched": lambda old: lambda duration, *more: duration},
+    ),
+)
+
+URSCRIPT: Final = (
+    Fault(
+        "ur_no_wait",
+        "handshake_ur",
+        {"post.handshake:Partner.watched_meeting": result(lambda both: tuple(map(_no_wait, both)))},
+    ),
+    Fault(
+        "ur_never_watches", "handshake_ur", {"post.urscript.program:_Main._watch": lambda old: lambda *a: []}
+    ),
+    Fault(
+        "ur_watches_the_line",
+        "handshake_ur",
+        {"post.urscript.syntax:watch_thread": given(0, lambda number: number - 1)},
+    ),
+    Fault(
+        "ur_other_input",
+        "handshake_ur",
+        {"post.urscript.syntax:wait_function": given(1, lambda number: number + 4)},
+    ),
+)
+
+KRL: Final = (
+    Fault("krl_a_for_c", "posed_krl", {"post.krl.syntax:abc": result(_turned_back)}),
+    Fault("krl_radians", "posed_krl", {"post.krl.syntax:abc": result(np.deg2rad)}),
+    Fault(
+        "krl_base_world", "gcode_krl", {"post.krl.data:Data.base_pose": result(lambda r: (np.eye(4), r[1]))}
+    ),
+    Fault(
+        "krl_base_inverse",
+        "gcode_krl",
+        {"post.krl.data:Data.base_pose": result(lambda r: (np.linalg.inv(r[0]), r[1]))},
+    ),
+    Fault("krl_status", "posed_krl", {"post.krl.data:status": result(lambda s: s ^ 2)}),
+    Fault("krl_turn", "posed_krl", {"post.krl.data:turn": result(lambda t: t ^ 2)}),
+    Fault("krl_speed_mm", "posed_krl", {"post.krl.syntax:rows": fields(speed=_scaled(1e3))}),
+    Fault("krl_speed_tenth", "gcode_krl", {"post.krl.syntax:rows": fields(speed=_scaled(10.0))}),
+    Fault(
+        "krl_corners_wide",
+        "gcode_krl",
+        {"post.krl.syntax:_corners": result(lambda c: (10.0 * c[0] + 5.0, c[1]))},
+    ),
+    Fault(
+        "krl_tool_off",
+        "posed_krl",
+        {"post.krl.data:Data.tool": given(1, lambda t: of(t, tcp=_moved(z=0.001)))},
+    ),
+    Fault("krl_joints_off", "posed_krl", {"post.krl.syntax:e6axis": given(0, lambda d: d + 1.0)}),
+    Fault("krl_positions_metres", "gcode_krl", {"post.steps:_written": _positions(_scaled(1e-3))}),
+    Fault("krl_rounded", "gcode_krl", {"post.steps:_written": _positions(np.round)}),
+    Fault(
+        "krl_spindle_other_output", "gcode_krl", {"problem:Controller.number": result(lambda n: n and n + 1)}
+    ),
+    Fault("krl_ptp_fast", "posed_krl", {"post.krl.program:ptp_percent": always(100)}),
+    Fault(
+        "krl_wait_ms",
+        "gcode_krl",
+        {"post.krl.program:Main._action": given(1, lambda a: of(a, seconds=_scaled(1e-3)))},
+    ),
+    Fault("krl_nobody_asked", "posed_krl", {"post.krl.syntax:question_lines": always([])}),
+    Fault(
+        "krl_asked_by_halt", "gcode_krl", {"post.krl.syntax:question_lines": given(1, lambda dialect: "krc2")}
+    ),
+    Fault(
+        "krl_told_in_comments",
+        "gcode_krl",
+        {"post.krl.syntax:message_lines": given(1, lambda dialect: "krc2")},
+    ),
+    Fault("krl_foot_not_looked_at", "posed_krl", {"post.krl.syntax:robroot_check": always([])}),
+    Fault(
+        "krl_foot_of_another_arm",
+        "posed_krl",
+        {"post.krl.syntax:robroot_check": given(0, lambda arm: "other")},
+    ),
+)
+
+
+FAULTS: Final = (*RAPID, *HANDSHAKE, *URSCRIPT, *KRL)

@@ -1,0 +1,48 @@
+"""A small job of two arms on controllers of their own: both go along their sides of a block, and meet."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+from planner.claims.vocabulary import DialogueStep, Handshake, OperatorDialogue, Sentence, question_step
+from planner.languages.writing import write
+from planner.problem import Controller
+from planner.targets import Action
+from tests import line_ends
+from tests.proof import small_job
+
+ARMS = ("left", "right")
+
+
+def problem(kind="four_phase", every=1):
+    """The cell of the job, whose controllers share two wires."""
+    there = small_job.problem()
+    controller = Controller(
+        ("T_ROB1",) * 2, ("ROB_1",) * 2, sync="handshake", handshake=Handshake(kind, every)
+    )
+    return dataclasses.replace(there, cell=dataclasses.replace(there.cell, controller=controller))
+
+
+def plan(count=8):
+    """The plan: the way of the small job's arms, without the wire between them."""
+    whole = small_job.plan(count)
+    (operation,) = whole.operations
+    actions = (
+        Action(0, "confirm", text="Is the block in place?"),
+        Action(0, "wait", seconds=1.0),
+    )
+    targets = dataclasses.replace(operation.targets, coupled=False, actions=actions)
+    return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
+
+
+def claims():
+    """Nothing is claimed but what the operator is asked, and what always has to hold."""
+    first = (question_step(Sentence("Is the block in place?")), DialogueStep("wait", seconds=1.0))
+    return {"panel": (OperatorDialogue(ARMS, first),)}
+
+
+@functools.cache
+def programs(kind="four_phase", every=1, count=8):
+    """The texts of the job as the planner writes them."""
+    return line_ends.bare(write.programs(plan(count), problem(kind, every)))

@@ -1,0 +1,71 @@
+"""Every kind of claim has rules that prove it, and nothing else may be claimed."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import get_args
+
+import pytest
+
+from planner import pipeline
+from planner.claims.claim import Claim, HoldsStock
+from planner.issues import TandemError
+from planner.processes import registry
+from planner.proof.prove import PROVEN_BY, RULE_CODES, prove, unproven
+
+
+@dataclasses.dataclass(frozen=True)
+class GluesParts:
+    """A claim of a process that came without a rule."""
+
+    segment: str
+
+
+def test_every_kind_of_claim_has_rules() -> None:
+    assert set(PROVEN_BY) == set(get_args(Claim))
+    assert {code for codes in PROVEN_BY.values() for code in codes} <= set(RULE_CODES)
+    assert all(PROVEN_BY.values())
+
+
+def test_what_no_rule_looks_at_is_refused_by_name() -> None:
+    (issue,) = unproven({"panel": (GluesParts("cut/a"), GluesParts("cut/b"))})  # type: ignore[arg-type]
+    assert issue.code == "claims.unproven"
+    assert "panel: its process claims GluesParts, which no rule of the proof looks at" in issue.message
+    (empty,) = unproven({"panel": ()})
+    assert empty.code == "claims.none"
+    assert unproven({}) == []
+    problem = pipeline.load("gauge_lanes")
+    with pytest.raises(TandemError, match="GluesParts"):
+        prove(problem, {"lanes": (GluesParts("cut/a"),)}, {})  # type: ignore[dict-item]
+
+
+class _Glue:
+    """A job of gauge_lanes that claims more than there are rules for."""
+
+    def __init__(self, operation, setup, part, more) -> None:  # type: ignore[no-untyped-def]
+        self.own = _OWN(operation, setup, part)
+        self.more = more
+
+    def targets(self):  # type: ignore[no-untyped-def]
+        return self.own.targets()
+
+    def claims(self):  # type: ignore[no-untyped-def]
+        return self.more
+
+
+_OWN = registry.PROCESSES["targets"].job
+
+
+@pytest.mark.parametrize(("more", "code"), [((GluesParts("cut/a"),), "claims.unproven"), ((), "claims.none")])
+def test_a_process_that_claims_so_is_refused_before_any_motion(
+    monkeypatch: pytest.MonkeyPatch, more: tuple[HoldsStock, ...], code: str
+) -> None:
+    problem = pipeline.load("gauge_lanes")
+    monkeypatch.setattr(
+        registry, "jobs", lambda one: (_Glue(one.operations[0], one.setup_of(0), None, more),)
+    )
+    stages: list[str] = []
+    with pytest.raises(TandemError) as caught:
+        pipeline.plan(problem, lambda stage, share: stages.append(stage))
+    assert [issue.code for issue in caught.value.issues] == [code]
+    assert set(stages) == {"targets"}
