@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims.claim import KerfCurve
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.files import write_whole
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue, TandemError

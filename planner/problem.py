@@ -16,7 +16,7 @@ import numpy as np
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
-from planner.claims.vocabulary import (
+from planner.claims.sentences import (
     CLOSED,
     KEEP_OFF,
     KEEP_OFF_GANTRY,

@@ -12,7 +12,7 @@ import pytest
 
 from planner import pipeline, plans
 from planner.claims import claim
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.processes import registry

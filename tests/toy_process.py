@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from planner.claims.claim import Claim, FollowsPoses
-from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.claims.sentences import OperatorDialogue, Segment
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.problem import Stock

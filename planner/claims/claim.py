@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.claims.sentences import OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.processes.forming.claims import (
     ComesBack,

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock, StraightWire, WireJoins
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import TandemError
 from planner.languages.krl.reader import reader

@@ -22,9 +22,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import Claim, OneOf, WireJoins
-from planner.claims.vocabulary import (
+from planner.claims.sentences import (
     SPELT,
     DialogueStep,
     DialogueStop,
@@ -388,16 +388,16 @@ def joined(context: Context) -> bool:
 
 def handler(context: Context, task: TaskText, procedure: str) -> tuple[Said, ...]:
     """What an error handler says, in this order."""
-    out: list[Said] = [(vocabulary.FAILED, {"procedure": procedure})]
+    out: list[Said] = [(sentences.FAILED, {"procedure": procedure})]
     if _partner(context, task):
-        out.append((vocabulary.UNANSWERED, {"other": _partner(context, task)}))
-    return (*out, (vocabulary.JOINED if joined(context) else vocabulary.ALONE, {}))
+        out.append((sentences.UNANSWERED, {"other": _partner(context, task)}))
+    return (*out, (sentences.JOINED if joined(context) else sentences.ALONE, {}))
 
 
 def aside(context: Context, task: TaskText) -> tuple[Said, ...]:
     """What may be said on a way that is decided at run time, which ends the program."""
     partner = _partner(context, task)
-    return ((vocabulary.UNANSWERED, {"other": partner}),) if partner else ()
+    return ((sentences.UNANSWERED, {"other": partner}),) if partner else ()
 
 
 def _partner(context: Context, task: TaskText) -> str:
@@ -410,32 +410,32 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
     first = bool(context.setups[0].steps)
     krl, lead = not task.rapid, task is context.job.tasks[0]
     if krl:
-        question = vocabulary.KRL_CLEAR if first else vocabulary.KRL_READY
+        question = sentences.KRL_CLEAR if first else sentences.KRL_READY
     else:
-        question = vocabulary.CLEAR if first else vocabulary.READY
+        question = sentences.CLEAR if first else sentences.READY
     partner = _partner(context, task)
     if partner:
-        asked = vocabulary.KRL_EARLIER if krl else vocabulary.EARLIER
+        asked = sentences.KRL_EARLIER if krl else sentences.EARLIER
         if task.script is not None:
-            asked = vocabulary.UR_EARLIER if lead else vocabulary.UR_CALLED
+            asked = sentences.UR_EARLIER if lead else sentences.UR_CALLED
         earlier = question_step(asked, other=partner)
         if not lead:
-            return earlier, message_step(vocabulary.READY_TO_MEET, other=partner)
+            return earlier, message_step(sentences.READY_TO_MEET, other=partner)
         both = {"other": partner, "arm": task.arm.name, "start": question.words}
-        called = vocabulary.START_PARTNER if task.script is None else vocabulary.UR_START_PARTNER
+        called = sentences.START_PARTNER if task.script is None else sentences.UR_START_PARTNER
         return (
             earlier,
             message_step(called, other=partner),
-            question_step(vocabulary.PARTNER_READY, **both),
+            question_step(sentences.PARTNER_READY, **both),
         )
     if not lead:
         return ()
-    return (question_step(vocabulary.NO_WIRE if joined(context) and not krl else question),)
+    return (question_step(sentences.NO_WIRE if joined(context) and not krl else question),)
 
 
 def _setup(setup: Setup) -> tuple[DialogueStep, ...]:
-    steps = (message_step(vocabulary.PLAIN, text=step) for step in setup.steps)
-    return (*steps, question_step(vocabulary.PLAIN, text=setup.confirmation))
+    steps = (message_step(sentences.PLAIN, text=step) for step in setup.steps)
+    return (*steps, question_step(sentences.PLAIN, text=setup.confirmation))
 
 
 def _operation(number: int, claim: OperatorDialogue) -> Sequence[Part]:

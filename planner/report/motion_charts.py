@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.catalogue.robots import RobotData
 from planner.claims.claim import CutsSurface, FeedWindow, WireJoins
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import Plan

@@ -17,7 +17,7 @@ import yaml
 from planner import pipeline, plans
 from planner.batch import run as batch
 from planner.claims.claim import CutsSurface, KerfCurve
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
 from planner.element.rows import FRONTS, Limits, Piece, Row, Shape, rows_of
 from planner.geometry.cut_tree import Bow, CutTree

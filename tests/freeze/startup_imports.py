@@ -55,7 +55,7 @@ IMPORTS = {
             "planner.cell.sag",
             "planner.claims",
             "planner.claims.claim",
-            "planner.claims.vocabulary",
+            "planner.claims.sentences",
             "planner.files",
             "planner.geometry",
             "planner.geometry.arrays",

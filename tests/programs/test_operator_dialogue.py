@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.languages.krl.writer import syntax as krl_syntax
 from planner.languages.rapid.writer import syntax
 from planner.proof.dialogue import fit, on_panel
@@ -14,14 +14,14 @@ from planner.proof.dialogue import fit, on_panel
 
 def test_figures_are_held_with_their_rounding():
     mount = {"cold_mm": 493.2499}
-    assert fit(vocabulary.MOUNT, mount, [vocabulary.MOUNT.filled(cold_mm=493.2)]).whole
-    assert fit(vocabulary.MOUNT, {"cold_mm": 493.25}, [vocabulary.MOUNT.filled(cold_mm=493.2)]).whole
-    assert fit(vocabulary.MOUNT, {"cold_mm": 493.25}, [vocabulary.MOUNT.filled(cold_mm=493.3)]).whole
-    assert not fit(vocabulary.MOUNT, mount, [vocabulary.MOUNT.filled(cold_mm=493.3)]).whole
-    assert not fit(vocabulary.MOUNT, mount, ["Mount wire: 493.20 mm cold between clamps"]).whole
-    assert not fit(vocabulary.MOUNT, mount, ["Mount wire: 49", "3.2 mm cold between clamps"]).whole
+    assert fit(sentences.MOUNT, mount, [sentences.MOUNT.filled(cold_mm=493.2)]).whole
+    assert fit(sentences.MOUNT, {"cold_mm": 493.25}, [sentences.MOUNT.filled(cold_mm=493.2)]).whole
+    assert fit(sentences.MOUNT, {"cold_mm": 493.25}, [sentences.MOUNT.filled(cold_mm=493.3)]).whole
+    assert not fit(sentences.MOUNT, mount, [sentences.MOUNT.filled(cold_mm=493.3)]).whole
+    assert not fit(sentences.MOUNT, mount, ["Mount wire: 493.20 mm cold between clamps"]).whole
+    assert not fit(sentences.MOUNT, mount, ["Mount wire: 49", "3.2 mm cold between clamps"]).whole
     wire = {"diameter_mm": 0.4, "material": "", "power_w": 1234567.0}
-    assert fit(vocabulary.BOW_POWER, wire, [vocabulary.BOW_POWER.filled(**wire)]).whole
+    assert fit(sentences.BOW_POWER, wire, [sentences.BOW_POWER.filled(**wire)]).whole
 
 
 @pytest.mark.parametrize(
@@ -31,11 +31,11 @@ def test_figures_are_held_with_their_rounding():
 )  # fmt: skip
 def test_a_users_own_sentence_fits_as_both_languages_write_it(text):
     lines = [re.findall(r'"(.*)"', row)[0] for row in syntax.write_lines(text)]
-    assert fit(vocabulary.PLAIN, {"text": text}, lines).whole
+    assert fit(sentences.PLAIN, {"text": text}, lines).whole
     assert fit(
-        vocabulary.PLAIN, {"text": text}, [row[3:] for row in krl_syntax.message_lines(text, "krc2")]
+        sentences.PLAIN, {"text": text}, [row[3:] for row in krl_syntax.message_lines(text, "krc2")]
     ).whole
-    assert not fit(vocabulary.PLAIN, {"text": text}, [*lines, "and more"]).whole
+    assert not fit(sentences.PLAIN, {"text": text}, [*lines, "and more"]).whole
 
 
 def test_panels_have_no_accents():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-from planner.claims.vocabulary import DialogueStep, Handshake, OperatorDialogue, Sentence, question_step
+from planner.claims.sentences import DialogueStep, Handshake, OperatorDialogue, Sentence, question_step
 from planner.languages.writing import write
 from planner.problem import Controller
 from planner.targets import Action

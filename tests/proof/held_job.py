@@ -22,7 +22,7 @@ from planner.claims.claim import (
     KerfWithin,
     StraightWire,
 )
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import exp_twist, from_rpy
 from planner.languages.writing import write
 from planner.plans import Plan

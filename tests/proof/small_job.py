@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.cell.kinematics import forward
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
-from planner.claims.vocabulary import (
+from planner.claims.sentences import (
     OperatorDialogue,
     Segment,
     Sentence,

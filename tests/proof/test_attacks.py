@@ -11,7 +11,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.proof.prove import Prover
 from tests.languages.rapid.rapid_edits import edit, name
 from tests.processes.hotwire.proof import straight_job

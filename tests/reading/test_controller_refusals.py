@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from planner import pipeline
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.issues import TandemError
 from planner.languages.rapid.writer.syntax import (
     BOX_LINE,
@@ -171,7 +171,7 @@ def test_a_spindle_and_a_wire_do_not_share_a_signal(tmp_path: Path) -> None:
 
 def test_texts_to_the_operator_fit_the_panel() -> None:
     signal, name = "x" * 28, "y" * 24
-    texts = vocabulary
+    texts = sentences
     lines = [
         texts.OFF_BY_MM,
         texts.OFF_BY_DEGREES,

@@ -10,7 +10,7 @@ import numpy as np
 from planner.catalogue import robots
 from planner.cell import kinematics
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import Mesh, Shape, from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan

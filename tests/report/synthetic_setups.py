@@ -10,7 +10,7 @@ from planner.catalogue.materials import foam
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, HoldsStock, KerfCurve, StraightWire
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import Ruled, from_parts, from_rpy, inverse
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan

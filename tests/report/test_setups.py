@@ -11,7 +11,7 @@ import pytest
 from planner.catalogue import robots
 from planner.cell import kinematics, plant
 from planner.claims.claim import CutsSurface, FeedWindow, KerfCurve
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import Ruled
 from planner.plans import Plan
 from planner.problem import Problem

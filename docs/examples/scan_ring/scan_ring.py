@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from planner.claims import claim, vocabulary
+from planner.claims import claim, sentences
 from planner.processes import Process
 from planner.reading.strict_yaml import Name, Strict
 from planner.targets import Job, Targets
@@ -27,13 +27,13 @@ class RingJob(Job[Ring]):
 
     def targets(self):  # for the arm: where to, at 50 mm/s, stopping at the ends alone
         arms, ring, feed = self.operation.arms, self.around(), np.full(73, 0.05)
-        ends, cut = np.arange(73) % 72 == 0, vocabulary.Segment.of("cut/ring")
+        ends, cut = np.arange(73) % 72 == 0, sentences.Segment.of("cut/ring")
         step = np.append(0.0, np.linalg.norm(np.diff(ring[:, :3, 3], axis=0), axis=1))
         return Targets(arms, {arms[0]: ring}, {arms[0]: "stock"}, (), feed, 0 * feed, step, ends, (cut,) * 73)
 
     def stated(self):  # for the proof: what must hold
         circle = claim.FollowsPoses(self.operation.arms[0], "stock", self.around(), (), 1e-4, 1e-3)
-        return circle, vocabulary.OperatorDialogue(self.operation.arms)
+        return circle, sentences.OperatorDialogue(self.operation.arms)
 
 
 PROCESS = Process(Ring, "scan_ring", "RingJob")

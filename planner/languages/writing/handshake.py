@@ -27,8 +27,8 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import vocabulary
-from planner.claims.vocabulary import Handshake, SignalWire
+from planner.claims import sentences
+from planner.claims.sentences import Handshake, SignalWire
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, Severity
 from planner.languages.rapid.writer.syntax import identifier
@@ -494,29 +494,29 @@ class Partner:
 
         ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
-        earlier = f"{vocabulary.KRL_EARLIER.filled(other=self.other)} {ok}"
+        earlier = f"{sentences.KRL_EARLIER.filled(other=self.other)} {ok}"
         limit = self.handshake.timeout
         out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0), AwaitRunning(0, limit)]
         wait = limit if self.lead else self.handshake.patience
         if self.lead:
-            ready = vocabulary.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
-            out += [Tell(vocabulary.START_PARTNER.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
+            ready = sentences.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
+            out += [Tell(sentences.START_PARTNER.filled(other=self.other)), Halt(ready), AwaitLine(0, wait)]
         else:
-            out += [AwaitLine(0, wait), Tell(vocabulary.READY_TO_MEET.filled(other=self.other))]
+            out += [AwaitLine(0, wait), Tell(sentences.READY_TO_MEET.filled(other=self.other))]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
 
     def watched_start(self, ask: str) -> list[PartnerStep]:
         """The same, up to the first meeting, of a program that watches the other one by itself and begins
         anew behind each stop: its line is low before anybody is asked. ``ask``: the lead's question."""
         limit = self.handshake.timeout
-        earlier = vocabulary.UR_EARLIER if self.lead else vocabulary.UR_CALLED
+        earlier = sentences.UR_EARLIER if self.lead else sentences.UR_CALLED
         out: list[PartnerStep] = [SetLine(0), Ask(earlier.filled(other=self.other)), AwaitRunning(0, limit)]
         if self.lead:
-            ready = vocabulary.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
-            called = vocabulary.UR_START_PARTNER.filled(other=self.other)
+            ready = sentences.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
+            called = sentences.UR_START_PARTNER.filled(other=self.other)
             return [*out, Tell(called), Ask(ready), AwaitLine(0, limit)]
         wait = self.handshake.patience
-        return [*out, AwaitLine(0, wait), Tell(vocabulary.READY_TO_MEET.filled(other=self.other))]
+        return [*out, AwaitLine(0, wait), Tell(sentences.READY_TO_MEET.filled(other=self.other))]
 
     def end(self) -> list[PartnerStep]:
         """What the program ends with, so that both lines are 0 then."""
@@ -527,7 +527,7 @@ class Partner:
     @property
     def unanswered(self) -> str:
         """What is said of a wait that was over its time."""
-        return vocabulary.UNANSWERED.filled(other=self.other)
+        return sentences.UNANSWERED.filled(other=self.other)
 
     def not_as_wanted(self, value: int) -> str:
         """What is said when the other one's running wire did not come to this level in time."""

@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import FollowsRulings, OneOf, WireJoins
-from planner.claims.vocabulary import DialogueStep, OperatorDialogue, Sentence
+from planner.claims.sentences import DialogueStep, OperatorDialogue, Sentence
 from planner.issues import Issue
 from planner.languages.trajectories.rules import trajectories
 from planner.processes.hotwire.proof.rules.straight_wire import guide_normals, off_guide
@@ -217,8 +217,8 @@ def _strange(one: Spoken) -> str:
     more = [name for name, _ in step.options if name not in (BOX_OPTIONS if step.confirm else ())]
     if more:
         return f"has \\{more[0]}, which shows or does more than is wanted"
-    if step.kind == "UIMsgBox" and step.header not in ("", vocabulary.HEADER):
-        return f"has the header {step.header!r}; allowed: {vocabulary.HEADER!r}"
+    if step.kind == "UIMsgBox" and step.header not in ("", sentences.HEADER):
+        return f"has the header {step.header!r}; allowed: {sentences.HEADER!r}"
     return ""
 
 
@@ -364,11 +364,11 @@ def _in_handler(
 def _handler_line(step: MessageStep, sentence: Sentence) -> str:
     if step.panel != "line":
         return "is no line of the panel"
-    wanted = (("num", "ERRNO"),) if sentence is vocabulary.FAILED else ()
+    wanted = (("num", "ERRNO"),) if sentence is sentences.FAILED else ()
     got = tuple((name, value.upper()) for name, value in step.options)
     if got != wanted:
         return "does not show the error's number" if wanted else f"shows more: \\{got[0][0]}"
-    waits = "ERRNO=ERR_WAIT_MAXTIME" if sentence is vocabulary.UNANSWERED else ""
+    waits = "ERRNO=ERR_WAIT_MAXTIME" if sentence is sentences.UNANSWERED else ""
     if "".join(step.condition.upper().split()).strip("()") != waits:
         return f"hangs on {step.condition!r}" if step.condition else "is told of other errors too"
     return ""
@@ -393,9 +393,9 @@ def _says(step: MessageStep, sentence: Sentence, figures: dict[str, float | str 
 
 def _of_motion(context: Context, wires: tuple[Wire, ...], heard: Heard) -> Iterator[tuple[str, float, float]]:
     """Names, values and tolerances of the figures of a step, as the motion has them."""
-    if heard.step.sentence is vocabulary.CLAMPS:
+    if heard.step.sentence is sentences.CLAMPS:
         yield from _clamps(context, heard)
-    elif heard.step.sentence is vocabulary.SPACERS:
+    elif heard.step.sentence is sentences.SPACERS:
         slot = 1e3 * _slot(context, wires, heard.place)
         yield "kerf_mm", slot, tolerance(".1f", slot) + SLOT_SHARE * abs(slot)
     else:

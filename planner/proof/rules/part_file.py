@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.claims.claim import CutsSurface
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.forming.proof.state import Forming

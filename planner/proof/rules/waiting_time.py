@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 import numpy as np
 
 from planner.claims.claim import StraightWire, WireJoins
-from planner.claims.vocabulary import HandshakeKind
+from planner.claims.sentences import HandshakeKind
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.milling.claims import MillsAlong

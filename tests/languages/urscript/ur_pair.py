@@ -8,7 +8,7 @@ import functools
 
 import numpy as np
 
-from planner.claims.vocabulary import (
+from planner.claims.sentences import (
     DialogueStep,
     DialogueStop,
     Handshake,

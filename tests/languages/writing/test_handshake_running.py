@@ -7,8 +7,8 @@ import re
 
 import pytest
 
-from planner.claims import vocabulary
-from planner.claims.vocabulary import PartnerSignals
+from planner.claims import sentences
+from planner.claims.sentences import PartnerSignals
 from planner.languages.writing import handshake, write
 from planner.targets import Action
 from tests.languages.writing import krl_job, synthetic
@@ -89,8 +89,8 @@ def test_an_abb_controller_drives_its_wire_from_the_system_and_stops_by_the_othe
     (
         handshake.PARTNER_STANDS,
         handshake.PARTNER_RUNS,
-        vocabulary.START_PARTNER.words,
-        vocabulary.UNANSWERED.words,
+        sentences.START_PARTNER.words,
+        sentences.UNANSWERED.words,
     ),
 )
 def test_every_text_on_the_running_wire_is_in_some_program(text):

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import planner
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import OneOf
 from planner.languages.writing import write
 from planner.motion import solve
@@ -382,7 +382,7 @@ def test_spacers_are_as_thick_as_the_slot(tmp_path, heat):
 WAIT_DI = r"WaitDI (\w+),(\d)\\MaxTime:=(\d+);"
 
 
-UNANSWERED = vocabulary.UNANSWERED.filled(other="right")
+UNANSWERED = sentences.UNANSWERED.filled(other="right")
 
 
 def flagged(end, text=UNANSWERED):

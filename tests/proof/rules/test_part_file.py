@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from planner.claims.claim import CutsSurface, KerfCurve
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.mesh import vertex_normals
 from planner.geometry.rulings import outward_sides, tessellate
 from planner.geometry.wing import naca

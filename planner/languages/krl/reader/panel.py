@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.languages.krl.reader import syntax_tree
 from planner.languages.krl.reader.syntax_tree import (
     AxisLook,
@@ -174,7 +174,7 @@ class Panel:
         """A question of krc2; in krc4 the stop in which the program of another arm is started."""
         self._main(depth, "HALT")
         if self.dialect == "krc4":
-            calls = (letters(vocabulary.START_PARTNER.filled(other=arm)) for arm in self.others)
+            calls = (letters(sentences.START_PARTNER.filled(other=arm)) for arm in self.others)
             if self._told in calls:
                 return None
             raise PanelError(f"HALT is no question: {_EXTERNAL_REASON}; ask by a dialog")
@@ -198,7 +198,7 @@ class Panel:
         return Message("Set_KrlDlg", whole, True)
 
     def _state(self, text: str) -> Message:
-        forms = (vocabulary.WAITING, vocabulary.TOGETHER)
+        forms = (sentences.WAITING, sentences.TOGETHER)
         known = [form.filled(arm=arm) for arm in self.others for form in forms]
         if text not in known:
             wanted = " or ".join(map(repr, known)) or "nothing"
@@ -207,7 +207,7 @@ class Panel:
         return Message("#STATE", text)
 
     def _listens(self, depth: int) -> None:
-        forms = (vocabulary.TOGETHER,) if depth else (vocabulary.WAITING,)
+        forms = (sentences.TOGETHER,) if depth else (sentences.WAITING,)
         if self._shown not in [form.filled(arm=arm) for arm in self.others for form in forms]:
             raise PanelError("the program waits for the other arm, and the panel does not say so")
         self._waited = True
@@ -215,7 +215,7 @@ class Panel:
     def _foot(self, look: Foot) -> None:
         shift, turn, text = look.shift, look.turn, look.text
         self._aligned(look.along)
-        says = vocabulary.FOOT_RIDES if self.along else vocabulary.FOOT
+        says = sentences.FOOT_RIDES if self.along else sentences.FOOT
         wanted = says.filled(arm=self.arm) if self.dialect == "krc4" else ""
         if text != wanted:
             raise PanelError(f"$ROBROOT is looked at with the text {text!r}; wanted: {wanted!r}")

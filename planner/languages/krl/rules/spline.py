@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.issues import Issue
@@ -51,7 +51,7 @@ _NO_TOLERANCE: Final[tuple[str, ...]] = ()
 """Of claims in which no length has a tolerance."""
 _CLAIM_TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
     ContactOnlyIn: _NO_TOLERANCE,
-    vocabulary.OperatorDialogue: _NO_TOLERANCE,
+    sentences.OperatorDialogue: _NO_TOLERANCE,
     FollowsPoses: _NO_TOLERANCE,
     FollowsTable: _NO_TOLERANCE,
     FeedWindow: _NO_TOLERANCE,

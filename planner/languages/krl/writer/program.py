@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.catalogue.robots import RobotData
 from planner.cell.kinematics import forward
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.languages.krl.writer import spline_blocks, syntax
@@ -69,7 +69,7 @@ def partner_lines(
 ) -> list[str]:
     """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
     a meeting it does already."""
-    waiting = vocabulary.WAITING.filled(arm=partner.other)
+    waiting = sentences.WAITING.filled(arm=partner.other)
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
     runs = controller.number(partner.arm, own.partner_running)
@@ -182,7 +182,7 @@ class Main:
         out = [*syntax.INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
         out += [*syntax.prepared(self.dialect), *self._look()]
-        clear = (vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY).filled()
+        clear = (sentences.KRL_CLEAR if self.problem.setups[0].steps else sentences.KRL_READY).filled()
         if self.partner is None:
             out += syntax.question_lines(clear, self.dialect)
         else:
@@ -281,7 +281,7 @@ class Main:
         off, the panel says so, and the program never goes on, whatever is started."""
         number = self.controller.number(self.task.arm.name, action.signal)
         seconds = math.ceil(1e3 * action.seconds)
-        text = vocabulary.NO_INPUT.filled(signal=action.signal, seconds=1e-3 * seconds)
+        text = sentences.NO_INPUT.filled(signal=action.signal, seconds=1e-3 * seconds)
         return [
             "$TIMER[1]=0",
             "$TIMER_STOP[1]=FALSE",
@@ -317,7 +317,7 @@ class Main:
             calls = [f"$VEL_EXTAX[{TRACK_COLUMN + 1}]={ALL_PERCENT}", *calls]
             self._slow, self._stood = False, syntax.ridden(operation.station, operation.track.outer[last - 1])
         if self.partner is not None and operation.meets[first:last].any():
-            together = vocabulary.TOGETHER.filled(arm=self.partner.other)
+            together = sentences.TOGETHER.filled(arm=self.partner.other)
             return syntax.during(together, calls, self.dialect)
         return calls
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.problem import Controller
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.text import Row
@@ -91,10 +91,10 @@ def routines(controller: Controller, signals: Sequence[str], lit: frozenset[str]
     for flag, request in kept.items():
         if request in lit:
             continue
-        asked += _question(flag, vocabulary.again(request), vocabulary.BUTTONS)
+        asked += _question(flag, sentences.again(request), sentences.BUTTONS)
         real = controller.interlock.of(request).signal
         asked += f"ELSEIF answer=2 AND DOutput({real})=1 THEN {flag}:=FALSE; "
-        asked += _else(vocabulary.REFUSED, stop)
+        asked += _else(sentences.REFUSED, stop)
     answer = "VAR num answer; "
     anew = f"PROC tandem_again() {answer if asked else ''}tandem_off; {ends}{asked}ENDPROC "
     waits = "".join(f"WaitUntil NOT {flag};" for flag in kept)
@@ -127,7 +127,7 @@ def _torch_routines(burned: Mapping[str, str], stop: str) -> str:
 def _question(flag: str, lines: Iterable[str], buttons: Iterable[str]) -> str:
     told, words = (",".join(f'"{one}"' for one in many) for many in (lines, buttons))
     return (
-        f'WHILE {flag} DO answer:=UIMessageBox(\\Header:="{vocabulary.HEADER}"\\MsgArray:=[{told}]'
+        f'WHILE {flag} DO answer:=UIMessageBox(\\Header:="{sentences.HEADER}"\\MsgArray:=[{told}]'
         f"\\BtnArray:=[{words}]\\Icon:=iconWarning); IF answer=1 THEN {flag}:=FALSE; "
     )
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
-from planner.claims import vocabulary
-from planner.claims.vocabulary import SignalWire
+from planner.claims import sentences
+from planner.claims.sentences import SignalWire
 from planner.languages.rapid.writer.syntax import identifier, quoted
 from planner.languages.writing import handshake
 from planner.languages.writing.handshake import ConfigurationRow
@@ -179,10 +179,10 @@ def _module(controller: Controller, requests: Sequence[str], torches: Sequence[s
     for request, flag in cut.items():
         real = controller.interlock.of(request).signal
         out += [
-            *_asked(flag, vocabulary.again(request), vocabulary.BUTTONS),
+            *_asked(flag, sentences.again(request), sentences.BUTTONS),
             f"      ELSEIF answer=2 AND DOutput({real})=1 THEN",
             f"        {flag}:=FALSE;",
-            *_refused(vocabulary.REFUSED, stop),
+            *_refused(sentences.REFUSED, stop),
         ]
     out += ["  ENDPROC"]
     if together:
@@ -202,14 +202,14 @@ def _begun_anew(torches: Sequence[str], flags: Mapping[str, str], stop: str) -> 
     out += ["    tandem_off;", "  ENDPROC", ""]
     out += ["  ! Where a torch burned no start goes on; PP to main alone leads out."]
     out += ["  PROC tandem_end()", "    WHILE TRUE DO"]
-    out += [f"      TPWrite {quoted(line)};" for line in vocabulary.ENDED]
+    out += [f"      TPWrite {quoted(line)};" for line in sentences.ENDED]
     out += [f"      {stop}", "    ENDWHILE", "  ENDPROC", ""]
     out += ["  ! At a start anew: nothing is lit again, and all slots are still to be cut."]
     out += ["  PROC tandem_begin()", "    VAR num answer;", "    tandem_off;"]
     for request in torches:
-        words = vocabulary.burned(request)
-        out += _asked(flags[request], words, vocabulary.BEGIN_BUTTONS)
-        out += _refused(vocabulary.ENDED, stop)
+        words = sentences.burned(request)
+        out += _asked(flags[request], words, sentences.BEGIN_BUTTONS)
+        out += _refused(sentences.ENDED, stop)
     return [*out, "    tandem_again;", "  ENDPROC"]
 
 
@@ -222,7 +222,7 @@ def _asked(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> list[str]
     """A question as long as a flag is TRUE, which the first answer takes back."""
     return [
         f"    WHILE {flag} DO",
-        f"      answer:=UIMessageBox(\\Header:={quoted(vocabulary.HEADER)}",
+        f"      answer:=UIMessageBox(\\Header:={quoted(sentences.HEADER)}",
         f"        \\MsgArray:=[{quoted(lines[0])},",
         *(f"          {quoted(line)}," for line in lines[1:-1]),
         f"          {quoted(lines[-1])}]",

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue.robots import OffsetParameters
-from planner.claims import vocabulary
-from planner.claims.vocabulary import HEADER, UNANSWERED
+from planner.claims import sentences
+from planner.claims.sentences import HEADER, UNANSWERED
 from planner.issues import Issue, TandemError
 from planner.languages.rapid.writer import data as rapid_data
 from planner.languages.rapid.writer.data import (
@@ -306,7 +306,7 @@ class _Task:
         moved += [] if self.task.table is None else [self.task.table.unit]
         units = [f"ActUnit {identifier(unit)};" for unit in dict.fromkeys(moved)]
         body += [*units, "EOffsOff;"] if units else []  # offsets of another program would shift the axes
-        clear = (vocabulary.CLEAR if self.problem.setups[0].steps else vocabulary.READY).filled()
+        clear = (sentences.CLEAR if self.problem.setups[0].steps else sentences.READY).filled()
         if self.partner is not None:
             body += [
                 *self._power_off(),
@@ -315,7 +315,7 @@ class _Task:
         elif self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself
-            body += box(vocabulary.HEADER, vocabulary.NO_WIRE.filled() if self.job.coupled else clear)
+            body += box(sentences.HEADER, sentences.NO_WIRE.filled() if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
         body += [] if self.partner is None else partner_lines(self.partner, self.partner.end())
@@ -404,9 +404,9 @@ class _Task:
 
     def _handler(self, name: str) -> list[str]:
         """Power off, then stop; the program ends there, so that no arm goes on by itself."""
-        joined = (vocabulary.JOINED if self.job.coupled else vocabulary.ALONE).filled()
+        joined = (sentences.JOINED if self.job.coupled else sentences.ALONE).filled()
         stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
-        note = quoted(f"{vocabulary.FAILED.filled(procedure=name)} ")
+        note = quoted(f"{sentences.FAILED.filled(procedure=name)} ")
         return [
             *self._power_off(),
             "StopMove\\Quick;",

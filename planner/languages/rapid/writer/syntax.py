@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue.robots import OffsetParameters, RobotData
-from planner.claims.vocabulary import HEADER, Segment, fold
+from planner.claims.sentences import HEADER, Segment, fold
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError

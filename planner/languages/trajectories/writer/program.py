@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -113,7 +113,7 @@ class _Main:
             self._arm(task)
         for signal in self.job.signals:
             self._switch(signal, False)
-        clear = (vocabulary.KRL_CLEAR if self.problem.setups[0].steps else vocabulary.KRL_READY).filled()
+        clear = (sentences.KRL_CLEAR if self.problem.setups[0].steps else sentences.KRL_READY).filled()
         self._ask(clear)
         for index in range(len(self.job.tasks[0].operations)):
             self._operation({task.arm.name: task.operations[index] for task in self.job.tasks})

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import vocabulary as words
+from planner.claims import sentences as words
 from planner.claims.claim import Claim
-from planner.claims.vocabulary import (
+from planner.claims.sentences import (
     DialogueStop,
     OperatorDialogue,
     message_step,

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import Claim
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
 from planner.geometry.units import DEG, MM
@@ -464,15 +464,15 @@ def _actions(
     """What the operator is told and asked, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM
     metal = made.sheet.metal.name
-    sheet = vocabulary.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
+    sheet = sentences.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
     out = [Action(0, "message", sheet)]
     one, path = paths[0]
     if two_point.holder_sinks(made):
         high = abs(one.start - one.end) / MM
-        out.append(Action(0, "confirm", vocabulary.RIM.filled(high_mm=high)))
+        out.append(Action(0, "confirm", sentences.RIM.filled(high_mm=high)))
     level = made.operation.level
     if level is not None:
-        named = vocabulary.LEVEL.filled(number=level.number, name=level.pass_name or vocabulary.FIRST_PASS)
+        named = sentences.LEVEL.filled(number=level.number, name=level.pass_name or sentences.FIRST_PASS)
         out.append(Action(0, "confirm", named))
     ready, done = forming_claims.spoken(made.operation, made.sheet)
     out.append(Action(0, "confirm", ready.filled()))

@@ -36,7 +36,7 @@ from planner.catalogue.materials import (
     WireMaterial,
     wire_material,
 )
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import (
     Claim,
     ContactOnlyIn,
@@ -53,7 +53,7 @@ from planner.claims.claim import (
     StraightWire,
     WireJoins,
 )
-from planner.claims.vocabulary import (
+from planner.claims.sentences import (
     DialogueStop,
     Figure,
     OperatorDialogue,
@@ -379,14 +379,14 @@ def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]
     material = f" {op.wire_material}" if op.wire_material.strip() else ""
     wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
     if op.power_w is not None:
-        mounted = message_step(vocabulary.BOW_POWER, **wire, power_w=op.power_w)
+        mounted = message_step(sentences.BOW_POWER, **wire, power_w=op.power_w)
     else:
-        mounted = message_step(vocabulary.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
+        mounted = message_step(sentences.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
     on, off = power_on_steps(op.signal, op.heat_up_s), power_off_steps(op.signal, op.cool_down_s)
     spaced = (
         *off,
-        message_step(vocabulary.SPACERS, kerf_mm=op.kerf_mm),
-        question_step(vocabulary.SPACED),
+        message_step(sentences.SPACERS, kerf_mm=op.kerf_mm),
+        question_step(sentences.SPACED),
         *on,
     )
     stops = []
@@ -397,8 +397,8 @@ def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]
             stops.append(DialogueStop(cut.segment.at("out"), "behind", spaced, optional=optional))
     return OperatorDialogue(
         op.arms,
-        (mounted, question_step(vocabulary.TAUT), *on),
-        (*off, question_step(vocabulary.COLD)),
+        (mounted, question_step(sentences.TAUT), *on),
+        (*off, question_step(sentences.COLD)),
         tuple(stops),
     )
 
@@ -499,14 +499,14 @@ def _elastic_dialogue(op: ElasticWire, own: WireFile) -> OperatorDialogue:
     return OperatorDialogue(
         op.arms,
         (
-            message_step(vocabulary.WIRE, material=own.material, size=own.size),
-            message_step(vocabulary.MOUNT, cold_mm=cold / MM),
-            message_step(vocabulary.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
-            question_step(vocabulary.CLAMPED),
+            message_step(sentences.WIRE, material=own.material, size=own.size),
+            message_step(sentences.MOUNT, cold_mm=cold / MM),
+            message_step(sentences.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            question_step(sentences.CLAMPED),
             *power_on_steps(op.signal, op.heat_up_s),
-            question_step(vocabulary.LOCKED, hot_mm=own.length_mm),
+            question_step(sentences.LOCKED, hot_mm=own.length_mm),
         ),
-        (*power_off_steps(op.signal, op.cool_down_s), question_step(vocabulary.TAKEN_OFF)),
+        (*power_off_steps(op.signal, op.cool_down_s), question_step(sentences.TAKEN_OFF)),
         joined=True,
     )
 

@@ -15,7 +15,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.catalogue.materials import Foam
 from planner.claims.claim import KerfCurve
-from planner.claims.vocabulary import fold
+from planner.claims.sentences import fold
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Controller, Stock

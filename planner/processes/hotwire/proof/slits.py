@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from planner.claims.claim import Contour, CutsSurface, LeadsFrom, SlitsAllowed
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.proof.context import Context

@@ -20,9 +20,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
-from planner.claims.vocabulary import (
+from planner.claims.sentences import (
     OperatorDialogue,
     Segment,
     message_step,
@@ -101,17 +101,17 @@ def _dialogue(work: Work) -> OperatorDialogue:
     block = {"x_mm": float(size[0]), "y_mm": float(size[1]), "z_mm": float(size[2])}
     cutter = {"kind": work.cutter.kind, "diameter_mm": 2.0 * work.cutter.radius / MM}
     if op.by_files:
-        tell = message_step(vocabulary.BLOCK_OF_FILE, **block, **cutter)
+        tell = message_step(sentences.BLOCK_OF_FILE, **block, **cutter)
     else:
-        tell = message_step(vocabulary.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
+        tell = message_step(sentences.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
     return OperatorDialogue(
         op.arms,
         (
             tell,
-            question_step(vocabulary.BLOCK_READY),
+            question_step(sentences.BLOCK_READY),
             *power_on_steps(op.signal, op.spin_up_s),
         ),
-        (*power_off_steps(op.signal, op.spin_down_s), question_step(vocabulary.STANDS)),
+        (*power_off_steps(op.signal, op.spin_down_s), question_step(sentences.STANDS)),
     )
 
 
@@ -462,13 +462,13 @@ def _actions(made: Work, route: Route) -> tuple[Action, ...]:
     return (
         Action(0, "message", _cuts_message(made)),
         *(Action(0, "confirm", run.before) for run in made.runs[:1] if run.before),
-        Action(0, "confirm", vocabulary.BLOCK_READY.filled()),
+        Action(0, "confirm", sentences.BLOCK_READY.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.spin_up_s),
         *_between(made, route),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.spin_down_s),
-        Action(last, "confirm", vocabulary.STANDS.filled()),
+        Action(last, "confirm", sentences.STANDS.filled()),
     )
 
 
@@ -477,8 +477,8 @@ def _cuts_message(made: Work) -> str:
     size, op = (made.box[1] - made.box[0]) / MM, made.operation
     figures = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * made.cutter.radius}
     if op.by_files:
-        return vocabulary.BLOCK_OF_FILE.filled(kind=made.cutter.kind, **figures)
-    return vocabulary.BLOCK.filled(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
+        return sentences.BLOCK_OF_FILE.filled(kind=made.cutter.kind, **figures)
+    return sentences.BLOCK.filled(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
 
 
 def _between(made: Work, route: Route) -> Iterator[Action]:

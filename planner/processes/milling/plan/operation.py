@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from planner.claims.vocabulary import fold
+from planner.claims.sentences import fold
 from planner.geometry.units import DEG, MM
 from planner.problem import Stock
 from planner.processes.milling.claims import DrawnCurve

@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import vocabulary
-from planner.claims.vocabulary import clash
+from planner.claims import sentences
+from planner.claims.sentences import clash
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh
 from planner.geometry.rulings import tessellate
 from planner.geometry.units import MM
@@ -130,12 +130,12 @@ def _questions(
     before ended at row ``since``, at the speed ``before``."""
     first, last = stretch
     pauses = [e.line for e in events if e.kind == "pause" and since < e.at - 1 <= first]
-    asked = [vocabulary.FILE_LINE.filled(line=line) for line in pauses]
+    asked = [sentences.FILE_LINE.filled(line=line) for line in pauses]
     speed = float(path.spindle[last])
     if speed != before:
-        way = vocabulary.SPEED if speed > 0 else vocabulary.SPEED_BACK
+        way = sentences.SPEED if speed > 0 else sentences.SPEED_BACK
         asked.append(way.filled(rpm=abs(speed) * 30.0 / np.pi))
-    return vocabulary.GO_ON.filled(asked=", ".join(asked)) if asked else ""
+    return sentences.GO_ON.filled(asked=", ".join(asked)) if asked else ""
 
 
 def _run(

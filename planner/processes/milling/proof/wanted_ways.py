@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BSpline
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import Claim, FeedWindow
-from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialogue, Segment, question_step
+from planner.claims.sentences import DialogueStep, DialogueStop, OperatorDialogue, Segment, question_step
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.milling.claims import (
@@ -114,11 +114,11 @@ def passes(program: MillsProgram) -> tuple[Pass, ...]:
         zip((np.flatnonzero(edge > 0) - 1).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True), 1
     ):
         pauses = [line for line, at in way.pauses if before < at - 1 <= first]
-        spoken = [vocabulary.FILE_LINE.filled(line=line) for line in pauses]
+        spoken = [sentences.FILE_LINE.filled(line=line) for line in pauses]
         own = float(way.spindle[last])
         if own != speed:
-            spoken.append((vocabulary.SPEED if own > 0.0 else vocabulary.SPEED_BACK).filled(rpm=abs(own)))
-        question = vocabulary.GO_ON.filled(asked=", ".join(spoken)) if spoken else ""
+            spoken.append((sentences.SPEED if own > 0.0 else sentences.SPEED_BACK).filled(rpm=abs(own)))
+        question = sentences.GO_ON.filled(asked=", ".join(spoken)) if spoken else ""
         rows = slice(first, last + 1)
         if _extent(way, rows) > SAME_PLACE:
             out.append(Pass(number, _part(way, rows), question))
@@ -159,7 +159,7 @@ def program_dialogue(
     for program in programs:
         for number, one in enumerate(known[program.name]):
             segment = Segment(MILL, f"{program.name}_{one.number}")
-            question = question_step(vocabulary.PLAIN, text=one.question)
+            question = question_step(sentences.PLAIN, text=one.question)
             if one.question and program.first and number == 0:
                 first = (*first[:1], question, *first[1:])
             elif one.question:

@@ -16,7 +16,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from planner.claims import claim as claimed
 from planner.claims.claim import Claim
-from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.claims.sentences import OperatorDialogue, Segment
 from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, from_parts, from_quaternion
 from planner.geometry.units import DEG, MM

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.claims.claim import Claim, ContactOnlyIn
-from planner.claims.vocabulary import (
+from planner.claims.sentences import (
     DialogueStep,
     OperatorDialogue,
     message_step,
@@ -124,19 +124,19 @@ def told(op: Trim, setup: Setup, torch: Trimmer) -> dict[str, float | str]:
 def _dialogue(op: Trim, setup: Setup, torch: Trimmer) -> OperatorDialogue:
     figures = told(op, setup, torch)
     if isinstance(op.by, MillCut):
-        begin = message_step(vocabulary.TRIM_MILL, **figures), question_step(vocabulary.TRIM_MILL_READY)
-        end = question_step(vocabulary.TRIM_MILL_STANDS)
+        begin = message_step(sentences.TRIM_MILL, **figures), question_step(sentences.TRIM_MILL_READY)
+        end = question_step(sentences.TRIM_MILL_STANDS)
         return _powered(op, begin, end, op.by.spin_up_s, op.by.spin_down_s)
     if isinstance(op.by, KnifeCut):
-        begin = message_step(vocabulary.TRIM_KNIFE, **figures), question_step(vocabulary.TRIM_KNIFE_READY)
-        end = question_step(vocabulary.TRIM_KNIFE_DONE)
+        begin = message_step(sentences.TRIM_KNIFE, **figures), question_step(sentences.TRIM_KNIFE_READY)
+        end = question_step(sentences.TRIM_KNIFE_DONE)
         return _powered(op, begin, end, op.by.start_up_s, op.by.run_down_s)
     first = (
-        message_step(vocabulary.TORCH, **figures),
-        message_step(vocabulary.TORCH_STOPPED),
-        question_step(vocabulary.TORCH_READY),
+        message_step(sentences.TORCH, **figures),
+        message_step(sentences.TORCH_STOPPED),
+        question_step(sentences.TORCH_READY),
     )
-    return OperatorDialogue(op.arms, first, (question_step(vocabulary.TORCH_COLD),))
+    return OperatorDialogue(op.arms, first, (question_step(sentences.TORCH_COLD),))
 
 
 def _powered(

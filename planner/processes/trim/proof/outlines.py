@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import Claim
-from planner.claims.vocabulary import DialogueStep, DialogueStop, OperatorDialogue, Segment
+from planner.claims.sentences import DialogueStep, DialogueStop, OperatorDialogue, Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
 from planner.processes.milling.claims import DrawnCurve

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims import vocabulary
+from planner.claims import sentences
 from planner.issues import TandemError
 from planner.languages.rapid.reader.reader import read_task
 from planner.languages.writing.write import notes, refusals
@@ -98,7 +98,7 @@ def test_a_wait_that_is_over_its_time_halts_and_waits_again_without_a_change_of_
         ]
     limits = [int(found) for found in re.findall(r"\$TIMER\[1\]>(\d+) ", text)]
     assert min(limits) == 30_000 and max(limits) == 3_600_000
-    assert vocabulary.UNANSWERED.filled(other="right").split(",")[0] in text
+    assert sentences.UNANSWERED.filled(other="right").split(",")[0] in text
 
 
 @pytest.mark.parametrize(("kind", "every"), [("four_phase", 1), ("toggle", 3)])

@@ -15,7 +15,7 @@ from scipy.spatial import Delaunay
 
 from planner import pipeline
 from planner.claims.claim import Claim
-from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.claims.sentences import OperatorDialogue, Segment
 from planner.geometry.arrays import Mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Severity, TandemError

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims.vocabulary import Handshake, OperatorDialogue, Segment, Sentence, question_step
+from planner.claims.sentences import Handshake, OperatorDialogue, Segment, Sentence, question_step
 from planner.geometry.arrays import from_parts, from_rpy
 from planner.languages.writing import write
 from planner.plans import Plan

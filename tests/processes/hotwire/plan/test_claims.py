@@ -45,7 +45,7 @@ MADE_BY: dict[str, set[str]] = {
 OUTSIDE = {
     "planner.catalogue.materials",
     "planner.claims.claim",
-    "planner.claims.vocabulary",
+    "planner.claims.sentences",
     "planner.geometry.rulings",
     "planner.geometry.units",
     "planner.issues",

@@ -13,7 +13,7 @@ import shapely
 
 import planner
 from planner.claims.claim import FollowsRulings, KerfCurve
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.problem import Problem
 from planner.processes import registry
 from planner.processes.hotwire.plan.straight import cut

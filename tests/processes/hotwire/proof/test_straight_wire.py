@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from planner.claims.claim import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import tessellate
 from planner.problem import Stock

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import KerfCurve
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import FloatArray, IndexArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import MM

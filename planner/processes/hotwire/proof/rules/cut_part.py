@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from planner.claims.claim import CutsSurface, FeedWindow, SlitsAllowed
-from planner.claims.vocabulary import Segment
+from planner.claims.sentences import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.issues import Issue
 from planner.processes.hotwire.proof.cut_surface import Sweep, cut_face, deepest, part_obj, unreached

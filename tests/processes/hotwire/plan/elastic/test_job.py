@@ -11,7 +11,7 @@ from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
-from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.claims.sentences import OperatorDialogue, Segment
 from planner.geometry.arrays import Mesh, interpolate, inverse
 from planner.processes.hotwire.plan.elastic import job
 from planner.processes.hotwire.plan.elastic.path import Wires, driven

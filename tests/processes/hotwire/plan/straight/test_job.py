@@ -17,7 +17,7 @@ from planner.claims.claim import (
     KerfWithin,
     StraightWire,
 )
-from planner.claims.vocabulary import OperatorDialogue, Segment
+from planner.claims.sentences import OperatorDialogue, Segment
 from planner.geometry.arrays import Ruled, Shape, exp_twist, from_rpy, interpolate, inverse, transform
 from planner.issues import Severity
 from planner.problem import Part, Stock
