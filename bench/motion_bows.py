@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 
 from planner.catalogue.materials import foam
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, from_rpy, inverse
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.targets import ScrewFreedom, Targets

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Shape, from_parts, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.targets import Edge, ScrewFreedom, Targets

@@ -25,11 +25,11 @@ from typing import Any, Final, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims.claim import KerfCurve
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.files import write_whole
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue, TandemError
+from planner.processes.hotwire.claims import KerfCurve
 from planner.targets import Targets
 from planner.tooling import Cutter
 

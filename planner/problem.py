@@ -16,6 +16,7 @@ import numpy as np
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.catalogue.robots import JointStiffness, RobotData, robot
 from planner.claims.claim import ForceFrame
+from planner.claims.handshake import Handshake
 from planner.claims.sentences import (
     CLOSED,
     KEEP_OFF,
@@ -23,7 +24,6 @@ from planner.claims.sentences import (
     KEEP_OFF_POSITIONER,
     KEEP_OFF_RIDING,
     KEEP_OFF_TABLE,
-    Handshake,
 )
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape, exp_rotation
 from planner.geometry.units import DEG

@@ -15,7 +15,7 @@ from typing import Any, Final, Generic, Literal, TypeVar
 import numpy as np
 
 from planner.claims.claim import Claim
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import (
     BoolArray,
     FloatArray,

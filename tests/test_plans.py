@@ -12,10 +12,12 @@ import pytest
 
 from planner import pipeline, plans
 from planner.claims import claim
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.processes import registry
+from planner.processes.hotwire import claims
+from planner.processes.poses import claims as poses_claims
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
 from tests.proof.planner_jobs import JOBS
 
@@ -40,17 +42,17 @@ def _targets(exhibits: dict[str, Any] | None = None) -> Targets:
         prefer=np.zeros(n),
     )
     held = (
-        claim.WireJoins(("left", "right"), 0.9, 1e-3, 2e-3, 1e-3, 0.01, True, 30.0, 1e-3, 1e-4),
-        claim.CutsSurface(
+        claims.WireJoins(("left", "right"), 0.9, 1e-3, 2e-3, 1e-3, 0.01, True, 30.0, 1e-3, 1e-4),
+        claims.CutsSurface(
             Segment.read("cut/front"),
             RNG.normal(size=(3, 3)),
             np.array([[0, 1, 2]]),
-            claim.KerfCurve.constant(1e-3),
+            claims.KerfCurve.constant(1e-3),
             5e-4,
         ),
         claim.ContactOnlyIn(("cut",), "doWirePower", 2.0),
         claim.FeedWindow(Segment.read("cut/front"), 0.002, 0.01),
-        claim.FollowsPoses("left", "stock", RNG.normal(size=(2, 4, 4)), (np.eye(6)[0],), 1e-4, 1e-3),
+        poses_claims.FollowsPoses("left", "stock", RNG.normal(size=(2, 4, 4)), (np.eye(6)[0],), 1e-4, 1e-3),
     )
     return Targets(
         arms=("left", "right"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import exp_twist, from_parts
 from planner.targets import ScrewFreedom, TableFreedom, Targets, lagrange
 

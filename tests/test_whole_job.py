@@ -12,7 +12,7 @@ import planner
 from planner import pipeline, plans
 from planner.catalogue.robots import data_dir, robot
 from planner.cell.kinematics import forward
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import inverse, log_pose
 from planner.pipeline import Outcome
 from tests.proof.planner_jobs import JOBS

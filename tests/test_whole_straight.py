@@ -11,9 +11,9 @@ import planner
 from planner import plans
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.claims.claim import CutsSurface
 from planner.geometry.arrays import inverse, log_pose
 from planner.pipeline import Outcome
+from planner.processes.hotwire.claims import CutsSurface
 
 
 @pytest.fixture(scope="module")

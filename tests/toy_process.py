@@ -7,12 +7,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from planner.claims.claim import Claim, FollowsPoses
-from planner.claims.sentences import OperatorDialogue, Segment
+from planner.claims.claim import Claim
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.problem import Stock
 from planner.processes import Process
+from planner.processes.poses.claims import FollowsPoses
 from planner.reading.strict_yaml import Name, Strict
 from planner.targets import Job, ScrewFreedom, Targets
 

@@ -18,7 +18,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner import plans
-from planner.claims.claim import CutsSurface, FollowsRulings
 from planner.element.jobs import block_pose
 from planner.geometry.arrays import FloatArray, IntArray, dots, inverse, transform
 from planner.geometry.mesh import TriangleMesh, vertex_normals
@@ -26,6 +25,7 @@ from planner.geometry.mesh_files import read_mesh
 from planner.geometry.rulings import boundaries
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.processes.hotwire.claims import CutsSurface, FollowsRulings
 
 FACES: Final = ("front", "back")
 """The faces of a panel, as their meshes and cuts are named."""

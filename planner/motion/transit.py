@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import (
     BoolArray,
     FloatArray,

@@ -19,8 +19,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock, StraightWire, WireJoins
-from planner.claims.sentences import Segment
+from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import TandemError
 from planner.languages.krl.reader import reader
@@ -35,6 +35,7 @@ from planner.languages.urscript.reader import reader as script_reader
 from planner.languages.urscript.reader.reader import ScriptText
 from planner.problem import Arm, Problem, Setup
 from planner.processes.forming.claims import SheetState
+from planner.processes.hotwire.claims import StraightWire, WireJoins
 from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.programs import text as program_text

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.languages.rapid.reader.lexer import Cursor
 from planner.problem import Controller
 from planner.programs.steps import Fault

@@ -16,21 +16,12 @@ from typing import Generic, ParamSpec, TypeVar
 
 import numpy as np
 
-from planner.claims.claim import (
-    ArmSags,
-    Claim,
-    ContactOnlyIn,
-    CutsSurface,
-    FeedWindow,
-    FollowsRulings,
-    HoldsStock,
-    KerfWithin,
-    WireJoins,
-)
+from planner.claims.claim import ArmSags, Claim, ContactOnlyIn, FeedWindow, HoldsStock
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
 from planner.languages.rapid.reader.syntax_tree import Data, Literal, build
 from planner.problem import END, Arm, Problem, Setup, Stock
+from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, WireJoins
 from planner.programs import job as job_text
 from planner.programs import job as setup_text
 from planner.programs.job import JobText, SetupClaims, Spans, Stage, TaskText

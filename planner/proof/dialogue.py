@@ -23,20 +23,22 @@ from typing import Final, Literal
 import numpy as np
 
 from planner.claims import sentences
-from planner.claims.claim import Claim, OneOf, WireJoins
-from planner.claims.sentences import (
-    SPELT,
+from planner.claims.claim import Claim, OneOf
+from planner.claims.dialogue import (
     DialogueStep,
     DialogueStop,
     Figure,
     OperatorDialogue,
-    Sentence,
     message_step,
     question_step,
 )
+from planner.claims.sentences import SPELT, Sentence
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
+from planner.languages.krl import sentences as krl_sentences
+from planner.languages.urscript import sentences as urscript_sentences
 from planner.problem import Setup
+from planner.processes.hotwire.claims import WireJoins
 from planner.programs.job import JobText, TaskText
 from planner.programs.steps import MessageStep, MoveStep, RobTarget, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
@@ -415,14 +417,14 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
         question = sentences.CLEAR if first else sentences.READY
     partner = _partner(context, task)
     if partner:
-        asked = sentences.KRL_EARLIER if krl else sentences.EARLIER
+        asked = krl_sentences.KRL_EARLIER if krl else sentences.EARLIER
         if task.script is not None:
-            asked = sentences.UR_EARLIER if lead else sentences.UR_CALLED
+            asked = urscript_sentences.UR_EARLIER if lead else urscript_sentences.UR_CALLED
         earlier = question_step(asked, other=partner)
         if not lead:
             return earlier, message_step(sentences.READY_TO_MEET, other=partner)
         both = {"other": partner, "arm": task.arm.name, "start": question.words}
-        called = sentences.START_PARTNER if task.script is None else sentences.UR_START_PARTNER
+        called = sentences.START_PARTNER if task.script is None else urscript_sentences.UR_START_PARTNER
         return (
             earlier,
             message_step(called, other=partner),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.cell.clearance import LeastClearance
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.issues import Issue, has_errors
 from planner.languages.krl.reader.parser import without_comments

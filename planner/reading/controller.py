@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from planner.claims.sentences import Handshake, HandshakeKind, PartnerSignals, SignalWire
+from planner.claims.handshake import Handshake, HandshakeKind, PartnerSignals, SignalWire
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 from planner.problem import (

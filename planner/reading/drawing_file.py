@@ -7,9 +7,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from planner.claims.drawn_curve import DrawnCurve
 from planner.geometry.units import LENGTH_UNITS
 from planner.issues import Issue
-from planner.processes.milling.claims import DrawnCurve
 from planner.reading import rhino
 from planner.reading.drawing import FileCurve, read_dxf
 from planner.reading.strict_yaml import FileName, Strict, Unit

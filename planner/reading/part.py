@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from planner.claims.sentences import fold
+from planner.claims.segments import fold
 from planner.geometry import curves as outlines
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, from_parts, from_rpy, transform
 from planner.geometry.curves import Guide, polyline, spline

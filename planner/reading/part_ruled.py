@@ -12,6 +12,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from planner.claims.drawn_curve import DrawnCurve
 from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, polyline, spline, with_corners
 from planner.geometry.matching import aligned, join
@@ -20,7 +21,6 @@ from planner.geometry.rulings import resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.geometry.wing import Panel, naca, read_airfoil, wing_surface
 from planner.issues import Issue, Severity, TandemError
-from planner.processes.milling.claims import DrawnCurve
 from planner.reading import rhino, step
 from planner.reading.drawing import read_dxf
 from planner.reading.rhino import RhinoFile, RhinoRuledFile

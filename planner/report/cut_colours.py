@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.sentences import WORKING_KINDS
+from planner.claims.segments import WORKING_KINDS
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.plans import Plan

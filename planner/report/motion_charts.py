@@ -20,12 +20,13 @@ from typing import Any
 import numpy as np
 
 from planner.catalogue.robots import RobotData
-from planner.claims.claim import CutsSurface, FeedWindow, WireJoins
-from planner.claims.sentences import Segment
+from planner.claims.claim import FeedWindow
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import Plan
 from planner.problem import Problem, Settings
+from planner.processes.hotwire.claims import CutsSurface, WireJoins
 from planner.proof.verdict import Proof
 from planner.report import markup
 from planner.report.charts import Band, Level, Line, chart

@@ -15,10 +15,10 @@ import numpy as np
 
 from planner.cell import plant
 from planner.cell.plant import CellModel
-from planner.claims.claim import FollowsRulings
 from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem, Setup
+from planner.processes.hotwire.claims import FollowsRulings
 from planner.proof.verdict import Proof
 from planner.report import (
     cell_picture,

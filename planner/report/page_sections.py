@@ -14,13 +14,14 @@ import numpy as np
 
 from planner.catalogue import robots
 from planner.cell import axis_way
-from planner.claims.claim import CutsSurface, FeedWindow, StraightWire, WireJoins
+from planner.claims.claim import FeedWindow
 from planner.files import named_files
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.problem import Problem
+from planner.processes.hotwire.claims import CutsSurface, StraightWire, WireJoins
 from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.report import charts, markup, motion_charts
 from planner.report.cell_picture import Picture

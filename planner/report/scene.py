@@ -22,7 +22,7 @@ from planner.cell.bodies import drake_shape, link_chain
 from planner.cell.kinematics import forward
 from planner.cell.plant import ROBOT_COLOUR, STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
 from planner.cell.support import with_support
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Shape, axis_ends, inverse, transform
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem, Setup

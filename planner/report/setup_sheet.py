@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.cell import support
-from planner.claims.claim import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
+from planner.claims.claim import FeedWindow, HoldsStock
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
@@ -25,6 +25,7 @@ from planner.problem import (
     torch_signals,
 )
 from planner.processes.forming.claims import SinksHolder
+from planner.processes.hotwire.claims import CutsSurface, StraightWire, WireJoins
 from planner.proof.verdict import Proof
 from planner.report import axes_sheet, exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table

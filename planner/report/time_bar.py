@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, TRAVEL_TIME, Track
 

@@ -15,7 +15,7 @@ from planner.batch import compare
 from planner.batch.job import Done, Record, State
 from planner.batch.rows import RECORDS
 from planner.batch.solve import Names
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.cli.batch import Compare, run_compare
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome, load

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry import corner_rounding
 from planner.languages.krl.writer import syntax
 from planner.languages.rapid.writer import syntax as rapid_syntax

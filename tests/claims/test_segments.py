@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from planner import pipeline
 from planner.catalogue.robots import data_dir
 from planner.claims.claim import FeedWindow
-from planner.claims.sentences import Segment, clash, fold
+from planner.claims.segments import Segment, clash, fold
 from planner.issues import Severity, TandemError, given_wrong
 from planner.languages.krl.reader.parser import marked_comment as marked
 from planner.languages.krl.writer.syntax import comment, mark

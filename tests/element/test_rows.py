@@ -16,13 +16,13 @@ import yaml
 
 from planner import pipeline, plans
 from planner.batch import run as batch
-from planner.claims.claim import CutsSurface, KerfCurve
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.cli.element import ElementReport, ElementRequest, run_element, run_element_report
 from planner.element.rows import FRONTS, Limits, Piece, Row, Shape, rows_of
 from planner.geometry.cut_tree import Bow, CutTree
 from planner.geometry.line_nest import in_lines
 from planner.geometry.units import MM
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from tests.element.shells import shell
 from tests.element.test_run_report import data_of
 from tests.element.test_saw_jobs import KERF, SAW, jobs_of, planes, upwards

@@ -11,7 +11,7 @@ import pytest
 
 from bench.motion_bows import held, standing
 from planner.cell import clearance, plant
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IndexArray, from_parts, from_rpy, interpolate, inverse
 from planner.issues import TandemError
 from planner.motion import diagnosis, ways

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planner.cell import plant
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import from_parts, inverse
 from planner.issues import TandemError
 from planner.motion import rrt, shortening, transit

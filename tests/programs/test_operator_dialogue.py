@@ -9,19 +9,24 @@ import pytest
 from planner.claims import sentences
 from planner.languages.krl.writer import syntax as krl_syntax
 from planner.languages.rapid.writer import syntax
+from planner.processes.hotwire import sentences as hotwire_sentences
 from planner.proof.dialogue import fit, on_panel
 
 
 def test_figures_are_held_with_their_rounding():
     mount = {"cold_mm": 493.2499}
-    assert fit(sentences.MOUNT, mount, [sentences.MOUNT.filled(cold_mm=493.2)]).whole
-    assert fit(sentences.MOUNT, {"cold_mm": 493.25}, [sentences.MOUNT.filled(cold_mm=493.2)]).whole
-    assert fit(sentences.MOUNT, {"cold_mm": 493.25}, [sentences.MOUNT.filled(cold_mm=493.3)]).whole
-    assert not fit(sentences.MOUNT, mount, [sentences.MOUNT.filled(cold_mm=493.3)]).whole
-    assert not fit(sentences.MOUNT, mount, ["Mount wire: 493.20 mm cold between clamps"]).whole
-    assert not fit(sentences.MOUNT, mount, ["Mount wire: 49", "3.2 mm cold between clamps"]).whole
+    assert fit(hotwire_sentences.MOUNT, mount, [hotwire_sentences.MOUNT.filled(cold_mm=493.2)]).whole
+    assert fit(
+        hotwire_sentences.MOUNT, {"cold_mm": 493.25}, [hotwire_sentences.MOUNT.filled(cold_mm=493.2)]
+    ).whole
+    assert fit(
+        hotwire_sentences.MOUNT, {"cold_mm": 493.25}, [hotwire_sentences.MOUNT.filled(cold_mm=493.3)]
+    ).whole
+    assert not fit(hotwire_sentences.MOUNT, mount, [hotwire_sentences.MOUNT.filled(cold_mm=493.3)]).whole
+    assert not fit(hotwire_sentences.MOUNT, mount, ["Mount wire: 493.20 mm cold between clamps"]).whole
+    assert not fit(hotwire_sentences.MOUNT, mount, ["Mount wire: 49", "3.2 mm cold between clamps"]).whole
     wire = {"diameter_mm": 0.4, "material": "", "power_w": 1234567.0}
-    assert fit(sentences.BOW_POWER, wire, [sentences.BOW_POWER.filled(**wire)]).whole
+    assert fit(hotwire_sentences.BOW_POWER, wire, [hotwire_sentences.BOW_POWER.filled(**wire)]).whole
 
 
 @pytest.mark.parametrize(

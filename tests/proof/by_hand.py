@@ -8,7 +8,8 @@ import dataclasses
 import numpy as np
 
 from planner.cell.kinematics import forward
-from planner.claims.sentences import OperatorDialogue, Segment, power_off_steps, power_on_steps
+from planner.claims.dialogue import OperatorDialogue, power_off_steps, power_on_steps
+from planner.claims.segments import Segment
 from planner.geometry.arrays import inverse
 from planner.plans import OperationPlan
 from planner.proof.kinematics import arm_model, inverse_kinematics

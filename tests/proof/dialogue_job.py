@@ -8,18 +8,19 @@ import functools
 
 import numpy as np
 
-from planner.claims import sentences
-from planner.claims.claim import ContactOnlyIn, OneOf, WireJoins
-from planner.claims.sentences import (
+from planner.claims.claim import ContactOnlyIn, OneOf
+from planner.claims.dialogue import (
     DialogueStop,
     OperatorDialogue,
-    Segment,
     message_step,
     power_off_steps,
     power_on_steps,
     question_step,
 )
+from planner.claims.segments import Segment
 from planner.languages.writing import write
+from planner.processes.hotwire import sentences as hotwire_sentences
+from planner.processes.hotwire.claims import WireJoins
 from planner.targets import Action
 from tests.processes.hotwire.proof import straight_job
 from tests.proof import small_job
@@ -43,15 +44,15 @@ def bent(count=12):
     last = operation.targets.count - 1
     apart, start, end = clamps()
     actions = (
-        Action(0, "message", sentences.MOUNT.filled(cold_mm=COLD_MM)),
-        Action(0, "message", sentences.CLAMPS.filled(apart_mm=apart, start_deg=start, end_deg=end)),
-        Action(0, "confirm", sentences.CLAMPED.filled()),
+        Action(0, "message", hotwire_sentences.MOUNT.filled(cold_mm=COLD_MM)),
+        Action(0, "message", hotwire_sentences.CLAMPS.filled(apart_mm=apart, start_deg=start, end_deg=end)),
+        Action(0, "confirm", hotwire_sentences.CLAMPED.filled()),
         Action(0, "on", signal=SIGNAL),
         Action(0, "wait", seconds=10.0),
-        Action(0, "confirm", sentences.LOCKED.filled(hot_mm=1e3 * LENGTH)),
+        Action(0, "confirm", hotwire_sentences.LOCKED.filled(hot_mm=1e3 * LENGTH)),
         Action(last, "off", signal=SIGNAL),
         Action(last, "wait", seconds=30.0),
-        Action(last, "confirm", sentences.TAKEN_OFF.filled()),
+        Action(last, "confirm", hotwire_sentences.TAKEN_OFF.filled()),
     )
     targets = dataclasses.replace(operation.targets, actions=actions)
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
@@ -62,13 +63,13 @@ def bent_claims():
     spoken = OperatorDialogue(
         ("left", "right"),
         (
-            message_step(sentences.MOUNT, cold_mm=COLD_MM),
-            message_step(sentences.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
-            question_step(sentences.CLAMPED),
+            message_step(hotwire_sentences.MOUNT, cold_mm=COLD_MM),
+            message_step(hotwire_sentences.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            question_step(hotwire_sentences.CLAMPED),
             *power_on_steps(SIGNAL, 10.0),
-            question_step(sentences.LOCKED, hot_mm=1e3 * LENGTH),
+            question_step(hotwire_sentences.LOCKED, hot_mm=1e3 * LENGTH),
         ),
-        (*power_off_steps(SIGNAL, 30.0), question_step(sentences.TAKEN_OFF)),
+        (*power_off_steps(SIGNAL, 30.0), question_step(hotwire_sentences.TAKEN_OFF)),
         joined=True,
     )
     return {"panel": _with(small_job.claims()["panel"], spoken)}
@@ -82,7 +83,7 @@ def choice():
     """The plan of the bent wire where the problem leaves open which one it is."""
     whole = bent()
     (operation,) = whole.operations
-    named = Action(0, "message", sentences.WIRE.filled(material="spring_steel", size="1.5 mm round"))
+    named = Action(0, "message", hotwire_sentences.WIRE.filled(material="spring_steel", size="1.5 mm round"))
     targets = dataclasses.replace(operation.targets, actions=(named, *operation.targets.actions))
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
 
@@ -95,10 +96,10 @@ def choice_claims():
 def _wire(longer, size="1.5 mm round"):
     (group,) = bent_claims().values()
     (spoken,) = (claim for claim in group if isinstance(claim, OperatorDialogue))
-    named = message_step(sentences.WIRE, material="spring_steel", size=size)
+    named = message_step(hotwire_sentences.WIRE, material="spring_steel", size=size)
     first = [named, *spoken.first]
-    first[1] = message_step(sentences.MOUNT, cold_mm=COLD_MM + longer)
-    first[-1] = question_step(sentences.LOCKED, hot_mm=1e3 * LENGTH + longer)
+    first[1] = message_step(hotwire_sentences.MOUNT, cold_mm=COLD_MM + longer)
+    first[-1] = question_step(hotwire_sentences.LOCKED, hot_mm=1e3 * LENGTH + longer)
     group = _with(group, dataclasses.replace(spoken, first=tuple(first)))
     return tuple(
         dataclasses.replace(claim, length=LENGTH + 1e-3 * longer) if isinstance(claim, WireJoins) else claim
@@ -122,8 +123,8 @@ def bow(model="irb140", count=12):
         last = targets.count - 1
         wire = {"diameter_mm": 0.4, "material": " nichrome", "power_w": POWER_W}
         actions = [
-            Action(0, "message", sentences.BOW_POWER.filled(**wire)),
-            Action(0, "confirm", sentences.TAUT.filled()),
+            Action(0, "message", hotwire_sentences.BOW_POWER.filled(**wire)),
+            Action(0, "confirm", hotwire_sentences.TAUT.filled()),
             Action(0, "on", signal=SIGNAL),
             Action(0, "wait", seconds=5.0),
         ]
@@ -133,15 +134,15 @@ def bow(model="irb140", count=12):
             actions += [
                 Action(ends[-1], "off", signal=SIGNAL),
                 Action(ends[-1], "wait", seconds=10.0),
-                Action(ends[-1], "message", sentences.SPACERS.filled(kerf_mm=SLOT_MM)),
-                Action(ends[-1], "confirm", sentences.SPACED.filled()),
+                Action(ends[-1], "message", hotwire_sentences.SPACERS.filled(kerf_mm=SLOT_MM)),
+                Action(ends[-1], "confirm", hotwire_sentences.SPACED.filled()),
                 Action(ends[-1], "on", signal=SIGNAL),
                 Action(ends[-1], "wait", seconds=5.0),
             ]
         actions += [
             Action(last, "off", signal=SIGNAL),
             Action(last, "wait", seconds=10.0),
-            Action(last, "confirm", sentences.COLD.filled()),
+            Action(last, "confirm", hotwire_sentences.COLD.filled()),
         ]
         targets = dataclasses.replace(targets, actions=tuple(actions), stop=stop)
         operations.append(dataclasses.replace(operation, targets=targets))
@@ -155,11 +156,16 @@ def bow_claims():
     out = {}
     for number, (name, group) in enumerate(straight_job.claims().items()):
         segment = Segment("cut", straight_job.NAMES[number]).at("out")
-        steps = (*off, message_step(sentences.SPACERS, kerf_mm=None), question_step(sentences.SPACED), *on)
+        steps = (
+            *off,
+            message_step(hotwire_sentences.SPACERS, kerf_mm=None),
+            question_step(hotwire_sentences.SPACED),
+            *on,
+        )
         spoken = OperatorDialogue(
             ("left",),
-            (message_step(sentences.BOW_POWER, **wire), question_step(sentences.TAUT), *on),
-            (*off, question_step(sentences.COLD)),
+            (message_step(hotwire_sentences.BOW_POWER, **wire), question_step(hotwire_sentences.TAUT), *on),
+            (*off, question_step(hotwire_sentences.COLD)),
             (DialogueStop(segment, "behind", steps),) if number == 0 else (),
         )
         out[name] = _with(group, spoken)

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims.claim import KerfCurve
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.straight.order import Lines
 from planner.targets import Action, ScrewFreedom, Targets
 from tests.proof.planner_faults import Fault, always, fields, given, of, result, value

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-from planner.claims.sentences import DialogueStep, Handshake, OperatorDialogue, Sentence, question_step
+from planner.claims.dialogue import DialogueStep, OperatorDialogue, question_step
+from planner.claims.handshake import Handshake
+from planner.claims.sentences import Sentence
 from planner.languages.writing import write
 from planner.problem import Controller
 from planner.targets import Action

@@ -13,20 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from planner.catalogue.materials import Foam
-from planner.claims.claim import (
-    ContactOnlyIn,
-    CutsSurface,
-    FeedWindow,
-    FollowsRulings,
-    HoldsStock,
-    KerfWithin,
-    StraightWire,
-)
-from planner.claims.sentences import Segment
+from planner.claims.claim import ContactOnlyIn, FeedWindow, HoldsStock
+from planner.claims.segments import Segment
 from planner.geometry.arrays import exp_twist, from_rpy
 from planner.languages.writing import write
 from planner.plans import Plan
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, StraightWire
 from planner.tooling import bow, gripper_plate
 from tests import line_ends
 from tests.processes.hotwire.proof.straight_job import AIR, FEED, KERF, MARGIN, SIGNAL, SIZE, TOLERANCE

@@ -15,20 +15,21 @@ from pathlib import Path
 import numpy as np
 
 from planner.cell.kinematics import forward
-from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
-from planner.claims.sentences import (
+from planner.claims.claim import ContactOnlyIn, FeedWindow
+from planner.claims.dialogue import (
     OperatorDialogue,
-    Segment,
-    Sentence,
     message_step,
     power_off_steps,
     power_on_steps,
     question_step,
 )
+from planner.claims.segments import Segment
+from planner.claims.sentences import Sentence
 from planner.geometry.arrays import from_parts, from_rpy, inverse
 from planner.languages.writing import write
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve, WireJoins
 from planner.proof.kinematics import arm_model, inverse_kinematics
 from planner.targets import Action, Targets
 from planner.tooling import wire_holder

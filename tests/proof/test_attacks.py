@@ -11,7 +11,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.proof.prove import Prover
 from tests.languages.rapid.rapid_edits import edit, name
 from tests.processes.hotwire.proof import straight_job

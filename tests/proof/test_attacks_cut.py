@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.claims.claim import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
+from planner.processes.hotwire.claims import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
 from planner.processes.hotwire.proof.rules.straight_wire import between, guide_normals, off_guide
 from planner.processes.hotwire.proof.walls import walls
 from planner.proof.prove import Prover

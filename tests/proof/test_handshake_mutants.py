@@ -9,7 +9,7 @@ import re
 
 import pytest
 
-from planner.claims.sentences import SignalWire
+from planner.claims.handshake import SignalWire
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.proof.rules import handshake as rules_handshake

@@ -11,7 +11,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Handshake, PartnerSignals, SignalWire
+from planner.claims.handshake import Handshake, PartnerSignals, SignalWire
 from planner.languages.writing import write
 from planner.proof.context import Context
 from planner.proof.rules import handshake as rules_handshake

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from planner.claims.sentences import SignalWire
+from planner.claims.handshake import SignalWire
 from planner.issues import TandemError
 from planner.reading.controller import ControllerFile, controllers
 

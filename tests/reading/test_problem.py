@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from planner.claims.sentences import Handshake
+from planner.claims.handshake import Handshake
 from planner.issues import Issue, TandemError
 from planner.pipeline import load
 from planner.problem import Controller, Settings

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.claims.sentences import Handshake
+from planner.claims.handshake import Handshake
 from planner.issues import Issue
 from planner.languages.krl.writer import controller_files as krl_files
 from planner.languages.writing.steps import build

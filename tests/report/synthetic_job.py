@@ -9,12 +9,13 @@ import numpy as np
 
 from planner.catalogue import robots
 from planner.cell import kinematics
-from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
-from planner.claims.sentences import Segment
+from planner.claims.claim import ContactOnlyIn, FeedWindow
+from planner.claims.segments import Segment
 from planner.geometry.arrays import Mesh, Shape, from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Obstacle, Part, Problem, Settings, Stock
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve, WireJoins
 from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.targets import Action, Edge, ScrewFreedom, Targets
 from planner.tooling import PlainTool

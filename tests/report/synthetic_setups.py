@@ -9,12 +9,13 @@ import numpy as np
 from planner.catalogue.materials import foam
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, HoldsStock, KerfCurve, StraightWire
-from planner.claims.sentences import Segment
+from planner.claims.claim import ContactOnlyIn, FeedWindow, HoldsStock
+from planner.claims.segments import Segment
 from planner.geometry.arrays import Ruled, from_parts, from_rpy, inverse
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Change, Part, Problem, Setup, Stock
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve, StraightWire
 from planner.targets import Action, Targets
 from planner.tooling import bow, gripper_plate
 from tests.report import synthetic_job as job

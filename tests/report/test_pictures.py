@@ -11,7 +11,7 @@ import trimesh
 
 from planner.catalogue import robots
 from planner.cell import kinematics, plant
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import raster, replay, scene

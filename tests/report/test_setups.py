@@ -10,11 +10,12 @@ import pytest
 
 from planner.catalogue import robots
 from planner.cell import kinematics, plant
-from planner.claims.claim import CutsSurface, FeedWindow, KerfCurve
-from planner.claims.sentences import Segment
+from planner.claims.claim import FeedWindow
+from planner.claims.segments import Segment
 from planner.geometry.arrays import Ruled
 from planner.plans import Plan
 from planner.problem import Problem
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.report import cell_picture, motion_charts, output, raster, replay, scene
 from planner.report.scene import SETUP_SEGMENT, track

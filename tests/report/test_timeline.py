@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from planner import pipeline
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.report import scene, time_bar
 from planner.report.scene import Track
 from tests import small_problem

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from planner.claims import claim, sentences
+from planner.claims import dialogue, segments
 from planner.processes import Process
+from planner.processes.poses import claims
 from planner.reading.strict_yaml import Name, Strict
 from planner.targets import Job, Targets
 
@@ -27,13 +28,13 @@ class RingJob(Job[Ring]):
 
     def targets(self):  # for the arm: where to, at 50 mm/s, stopping at the ends alone
         arms, ring, feed = self.operation.arms, self.around(), np.full(73, 0.05)
-        ends, cut = np.arange(73) % 72 == 0, sentences.Segment.of("cut/ring")
+        ends, cut = np.arange(73) % 72 == 0, segments.Segment.of("cut/ring")
         step = np.append(0.0, np.linalg.norm(np.diff(ring[:, :3, 3], axis=0), axis=1))
         return Targets(arms, {arms[0]: ring}, {arms[0]: "stock"}, (), feed, 0 * feed, step, ends, (cut,) * 73)
 
     def stated(self):  # for the proof: what must hold
-        circle = claim.FollowsPoses(self.operation.arms[0], "stock", self.around(), (), 1e-4, 1e-3)
-        return circle, sentences.OperatorDialogue(self.operation.arms)
+        circle = claims.FollowsPoses(self.operation.arms[0], "stock", self.around(), (), 1e-4, 1e-3)
+        return circle, dialogue.OperatorDialogue(self.operation.arms)
 
 
 PROCESS = Process(Ring, "scan_ring", "RingJob")

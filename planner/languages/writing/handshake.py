@@ -28,10 +28,12 @@ from typing import Final
 import numpy as np
 
 from planner.claims import sentences
-from planner.claims.sentences import Handshake, SignalWire
+from planner.claims.handshake import Handshake, SignalWire
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, Severity
+from planner.languages.krl import sentences as krl_sentences
 from planner.languages.rapid.writer.syntax import identifier
+from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.writing.layout import (
     TIME_DECIMALS,
     Do,
@@ -494,7 +496,7 @@ class Partner:
 
         ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
-        earlier = f"{sentences.KRL_EARLIER.filled(other=self.other)} {ok}"
+        earlier = f"{krl_sentences.KRL_EARLIER.filled(other=self.other)} {ok}"
         limit = self.handshake.timeout
         out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0), AwaitRunning(0, limit)]
         wait = limit if self.lead else self.handshake.patience
@@ -509,11 +511,11 @@ class Partner:
         """The same, up to the first meeting, of a program that watches the other one by itself and begins
         anew behind each stop: its line is low before anybody is asked. ``ask``: the lead's question."""
         limit = self.handshake.timeout
-        earlier = sentences.UR_EARLIER if self.lead else sentences.UR_CALLED
+        earlier = urscript_sentences.UR_EARLIER if self.lead else urscript_sentences.UR_CALLED
         out: list[PartnerStep] = [SetLine(0), Ask(earlier.filled(other=self.other)), AwaitRunning(0, limit)]
         if self.lead:
             ready = sentences.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
-            called = sentences.UR_START_PARTNER.filled(other=self.other)
+            called = urscript_sentences.UR_START_PARTNER.filled(other=self.other)
             return [*out, Tell(called), Ask(ready), AwaitLine(0, limit)]
         wait = self.handshake.patience
         return [*out, AwaitLine(0, wait), Tell(sentences.READY_TO_MEET.filled(other=self.other))]

@@ -4,7 +4,7 @@ Tasks go through the same operations side by side. Outside synchronised blocks o
 the others wait at the next :class:`Meet`; inside, the tasks have equal runs of moves, pair by pair.
 An action always stands outside a block. Modules are split at the same moves for all tasks, at stops.
 
-Two controllers that share digital signals only (:class:`planner.claims.sentences.Handshake`) meet
+Two controllers that share digital signals only (:class:`planner.claims.handshake.Handshake`) meet
 inside blocks too: at the moves that :attr:`OperationProgram.meets` numbers.
 """
 
@@ -20,7 +20,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.catalogue.robots import RobotData
-from planner.claims.sentences import SPELT, Handshake, Segment
+from planner.claims.handshake import Handshake
+from planner.claims.segments import Segment
+from planner.claims.sentences import SPELT
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Turntable

@@ -16,7 +16,8 @@ import numpy as np
 from planner.cell import axis_way
 from planner.cell.axis_way import Travel
 from planner.claims.claim import HoldsStock
-from planner.claims.sentences import Handshake, Segment
+from planner.claims.handshake import Handshake
+from planner.claims.segments import Segment
 from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.units import DEG, MM

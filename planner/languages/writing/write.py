@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from planner.claims.claim import Claim
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError
 from planner.languages.krl.writer import controller_files as krl_files

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 
 

@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 from typing import Final
 
-from planner.processes.milling.claims import DrawnCurve
+from planner.claims.drawn_curve import DrawnCurve
 from planner.tooling import Blade, Cutter, Torch
 
 

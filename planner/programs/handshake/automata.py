@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 
-from planner.claims.sentences import HandshakeKind, SignalWire
+from planner.claims.handshake import HandshakeKind, SignalWire
 from planner.programs.handshake.model import Action, Levels
 from planner.programs.handshake.moves import SLOW
 from planner.programs.steps import (

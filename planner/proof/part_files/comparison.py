@@ -18,12 +18,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from planner.claims.claim import CutsSurface
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import closest_on_triangles
 from planner.processes.forming.proof.face import Face, least_gap
 from planner.processes.forming.proof.state import Forming
 from planner.processes.forming.proof.swept import Swept, swept
+from planner.processes.hotwire.claims import CutsSurface
 from planner.processes.hotwire.proof.cut_surface import Sweep, distance_to_sweep
 from planner.processes.milling.claims import MillsSurface
 from planner.processes.milling.proof.tool_motion import BEND_SHARE, SIGHT_DISTANCE, Milling, solids, sweep

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue, TandemError
 from planner.problem import Arm

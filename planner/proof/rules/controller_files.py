@@ -13,9 +13,9 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from planner.claims import sentences
 from planner.geometry.arrays import inverse
 from planner.issues import Issue
+from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.reader.flow import CHECK_MODULE
 from planner.languages.rapid.reader.reader import masked
 from planner.languages.rapid.reader.syntax_tree import Instruction, Literal, ProcCall
@@ -464,7 +464,7 @@ def _axes_wanted(axes: Sequence[OuterAxis]) -> list[str]:
     """What that procedure has to look at."""
     text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
     for axis in sorted(axes, key=lambda one: one.column):
-        here, name = f"cfg_here.extax.eax_{'abcdef'[axis.column]}", sentences.axis_of(axis.unit)
+        here, name = f"cfg_here.extax.eax_{'abcdef'[axis.column]}", rapid_sentences.axis_of(axis.unit)
         home = f"{axis.home / axis.scale:.4f}"
         home = home.removeprefix("-") if float(home) == 0.0 else home
         text += f'check_axis "{name}",{here},{home},{OFF_HOME[axis.sign]:g};'
@@ -498,7 +498,7 @@ def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
     for part in range(4):
         read += f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;'
         read += f"cfg_base.rot.q{part + 1}:=cfg_value;"
-    calls = f'check_pose "{sentences.base_of(task.arm.name)}",cfg_base,{BASE_FRAME};'
+    calls = f'check_pose "{rapid_sentences.base_of(task.arm.name)}",cfg_base,{BASE_FRAME};'
     for data in context.data(task, r"\w+"):
         if not isinstance(data.initial, Literal) or data.kind not in ("tooldata", "wobjdata"):
             continue
@@ -509,12 +509,12 @@ def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
 def _compared(name: str, kind: str, value: Sequence[str]) -> str:
     """Comparisons of a declared tool or work object, whose parts are ``value`` as text."""
     if kind == "tooldata":
-        text = f'check_pose "{sentences.frame_of(name)}",{name}.tframe,{value[1]};'
-        return text + f'check_true "{sentences.kind_of(name)}",{name}.robhold;'
-    text = f'check_pose "{sentences.object_frame_of(name)}",{name}.oframe,{value[4]};'
-    who = f'check_true "{sentences.kind_of(name)}",NOT {name}.robhold AND '
+        text = f'check_pose "{rapid_sentences.frame_of(name)}",{name}.tframe,{value[1]};'
+        return text + f'check_true "{rapid_sentences.kind_of(name)}",{name}.robhold;'
+    text = f'check_pose "{rapid_sentences.object_frame_of(name)}",{name}.oframe,{value[4]};'
+    who = f'check_true "{rapid_sentences.kind_of(name)}",NOT {name}.robhold AND '
     if value[1].upper() == "TRUE":
-        text += f'check_pose "{sentences.user_frame_of(name)}",{name}.uframe,{value[3]};'
+        text += f'check_pose "{rapid_sentences.user_frame_of(name)}",{name}.uframe,{value[3]};'
         return text + f"{who}{name}.ufprog;"
     return text + f"{who}NOT {name}.ufprog AND {name}.ufmec={value[2]};"
 
@@ -554,22 +554,22 @@ def _helpers(together: bool, axes: bool) -> str:
     axis = f"""
     PROC check_axis(string what, num got, num wanted, num most)
       IF Abs(got-wanted)>most THEN
-        TPWrite what; TPWrite "{sentences.OFF_HOME}"\\Num:=got-wanted; check_stop;
+        TPWrite what; TPWrite "{rapid_sentences.OFF_HOME}"\\Num:=got-wanted; check_stop;
       ENDIF
     ENDPROC"""
-    said_last = "".join(f'TPWrite "{line}";' for line in sentences.NOTHING_MOVES)
+    said_last = "".join(f'TPWrite "{line}";' for line in rapid_sentences.NOTHING_MOVES)
     return f"""
     PROC check_pose(string what, pose got, pose wanted)
       VAR num off_sign:=1; VAR num off_turn;
       IF {dot}<0 THEN off_sign:=-1; ENDIF
       off_turn:=114.591559*Sqrt({squares});
       IF Distance(got.trans,wanted.trans)>{_DISTANCE} OR off_turn>{_TURN} THEN
-        TPWrite what; TPWrite "{sentences.OFF_BY_MM}"\\Num:=Distance(got.trans,wanted.trans);
-        TPWrite "{sentences.OFF_BY_DEGREES}"\\Num:=off_turn; check_stop;
+        TPWrite what; TPWrite "{rapid_sentences.OFF_BY_MM}"\\Num:=Distance(got.trans,wanted.trans);
+        TPWrite "{rapid_sentences.OFF_BY_DEGREES}"\\Num:=off_turn; check_stop;
       ENDIF
     ENDPROC
     PROC check_true(string what, bool same)
-      IF NOT same THEN TPWrite what; TPWrite "{sentences.NOT_AS_PLANNED}"; check_stop; ENDIF
+      IF NOT same THEN TPWrite what; TPWrite "{rapid_sentences.NOT_AS_PLANNED}"; check_stop; ENDIF
     ENDPROC
     {axis if axes else ""}
     PROC check_stop()

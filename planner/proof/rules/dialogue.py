@@ -12,10 +12,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from planner.claims import sentences
-from planner.claims.claim import FollowsRulings, OneOf, WireJoins
-from planner.claims.sentences import DialogueStep, OperatorDialogue, Sentence
+from planner.claims.claim import OneOf
+from planner.claims.dialogue import DialogueStep, OperatorDialogue
+from planner.claims.sentences import Sentence
 from planner.issues import Issue
 from planner.languages.trajectories.rules import trajectories
+from planner.processes.hotwire import sentences as hotwire_sentences
+from planner.processes.hotwire.claims import FollowsRulings, WireJoins
 from planner.processes.hotwire.proof.rules.straight_wire import guide_normals, off_guide
 from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.programs.job import TaskText
@@ -393,9 +396,9 @@ def _says(step: MessageStep, sentence: Sentence, figures: dict[str, float | str 
 
 def _of_motion(context: Context, wires: tuple[Wire, ...], heard: Heard) -> Iterator[tuple[str, float, float]]:
     """Names, values and tolerances of the figures of a step, as the motion has them."""
-    if heard.step.sentence is sentences.CLAMPS:
+    if heard.step.sentence is hotwire_sentences.CLAMPS:
         yield from _clamps(context, heard)
-    elif heard.step.sentence is sentences.SPACERS:
+    elif heard.step.sentence is hotwire_sentences.SPACERS:
         slot = 1e3 * _slot(context, wires, heard.place)
         yield "kerf_mm", slot, tolerance(".1f", slot) + SLOT_SHARE * abs(slot)
     else:

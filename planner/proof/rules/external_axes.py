@@ -11,9 +11,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
+from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.reader.flow import AXIS_LOOK
 from planner.languages.rapid.reader.flow import AXES_CHECK
 from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
@@ -149,7 +149,7 @@ def _looks_at(axis: OuterAxis, look: SettingStep, dialect: str) -> bool:
     """Whether a look of KRL is at an axis, at its home, as narrow as it should be, and tells the operator."""
     column, home, most = look.values
     wanted = f"{home:.4f}"
-    text = sentences.KRL_AXIS_AWAY.filled(unit=axis.unit, sign=axis.sign, home=wanted)
+    text = krl_sentences.KRL_AXIS_AWAY.filled(unit=axis.unit, sign=axis.sign, home=wanted)
     here = column == axis.column and abs(axis.scale * home - axis.home) <= SAME_VALUE
     return here and most <= OFF_HOME[axis.sign] and look.switches == (text if dialect == "krc4" else "",)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from planner.claims.sentences import SignalWire
+from planner.claims.handshake import SignalWire
 from planner.issues import Issue
 from planner.programs import job
 from planner.programs.handshake import moves as handshake_moves

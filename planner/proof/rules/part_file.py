@@ -16,11 +16,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims.claim import CutsSurface
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.forming.proof.state import Forming
+from planner.processes.hotwire.claims import CutsSurface
 from planner.processes.hotwire.proof.cut_surface import Sweep
 from planner.processes.milling.proof.tool_motion import Milling
 from planner.proof.context import Context, Outcome, mm, rule

@@ -11,10 +11,10 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from planner.claims.claim import StraightWire, WireJoins
-from planner.claims.sentences import HandshakeKind
+from planner.claims.handshake import HandshakeKind
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
+from planner.processes.hotwire.claims import StraightWire, WireJoins
 from planner.processes.milling.claims import MillsAlong
 from planner.programs import job
 from planner.programs.handshake.automata import Reading

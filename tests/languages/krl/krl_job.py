@@ -7,8 +7,8 @@ import functools
 
 import numpy as np
 
-from planner.claims.claim import FollowsPoses
 from planner.languages.writing import write
+from planner.processes.poses.claims import FollowsPoses
 from tests.processes.hotwire.proof import straight_job
 
 MODEL = "kr10_r1100"

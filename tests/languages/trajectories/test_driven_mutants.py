@@ -11,9 +11,9 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from planner.cell.kinematics import forward
-from planner.claims.claim import StraightWire
 from planner.geometry.arrays import inverse
 from planner.languages.trajectories.reader import rows as rows_of_text
+from planner.processes.hotwire.claims import StraightWire
 from planner.programs import job
 from planner.proof.context import Context
 from planner.proof.prove import Prover

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from planner.claims.claim import FollowsPoses
+from planner.processes.poses.claims import FollowsPoses
 from tests.processes.hotwire.proof import straight_job
 
 MODEL = "ur10e"

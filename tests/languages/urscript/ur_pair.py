@@ -8,16 +8,10 @@ import functools
 
 import numpy as np
 
-from planner.claims.sentences import (
-    DialogueStep,
-    DialogueStop,
-    Handshake,
-    OperatorDialogue,
-    Segment,
-    Sentence,
-    message_step,
-    question_step,
-)
+from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue, message_step, question_step
+from planner.claims.handshake import Handshake
+from planner.claims.segments import Segment
+from planner.claims.sentences import Sentence
 from planner.geometry.arrays import from_rpy
 from planner.languages.writing import write
 from planner.problem import Arm, Controller

@@ -8,7 +8,7 @@ import re
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.claims.sentences import Handshake
+from planner.claims.handshake import Handshake
 from planner.targets import Action
 from tests.languages.writing import krl_job, synthetic
 

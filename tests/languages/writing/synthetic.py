@@ -10,7 +10,7 @@ import numpy as np
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.claims.claim import HoldsStock
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock

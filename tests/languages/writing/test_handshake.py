@@ -10,7 +10,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Handshake, PartnerSignals
+from planner.claims.handshake import Handshake, PartnerSignals
 from planner.issues import TandemError
 from planner.languages.rapid.reader.reader import read_task
 from planner.languages.writing import handshake, write

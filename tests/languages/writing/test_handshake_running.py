@@ -8,7 +8,7 @@ import re
 import pytest
 
 from planner.claims import sentences
-from planner.claims.sentences import PartnerSignals
+from planner.claims.handshake import PartnerSignals
 from planner.languages.writing import handshake, write
 from planner.targets import Action
 from tests.languages.writing import krl_job, synthetic

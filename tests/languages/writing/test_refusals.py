@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.issues import TandemError
 from planner.targets import Action
 from tests.languages.writing import krl_job, synthetic

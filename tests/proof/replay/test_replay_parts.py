@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from planner.catalogue import robots
 from planner.cell.kinematics import forward
-from planner.claims.claim import CutsSurface, KerfCurve
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import from_parts
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from planner.processes.hotwire.proof.cut_surface import Sweep, closest, cut_face
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model, inverse_kinematics

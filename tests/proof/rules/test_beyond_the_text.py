@@ -12,11 +12,12 @@ import pytest
 
 from planner.catalogue.robots import robot
 from planner.cell.plant import build
-from planner.claims.claim import CutsSurface, FollowsPoses, KerfCurve, WireJoins
 from planner.geometry.arrays import Shape, from_rpy
 from planner.issue_codes import CODES
 from planner.issues import Issue, with_remedy
 from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Stock
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve, WireJoins
+from planner.processes.poses.claims import FollowsPoses
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.proof.replay.motion import Poses

@@ -15,11 +15,11 @@ import ezdxf
 import numpy as np
 import pytest
 
-from planner.claims.claim import CutsSurface, KerfCurve
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.mesh import vertex_normals
 from planner.geometry.rulings import outward_sides, tessellate
 from planner.geometry.wing import naca
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from planner.processes.hotwire.proof.cut_surface import Sweep
 from planner.proof.prove import Prover
 from planner.proof.rules import part_file

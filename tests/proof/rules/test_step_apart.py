@@ -9,7 +9,7 @@ import pytest
 
 from planner.cell import clearance
 from planner.claims.claim import HoldsStock
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.processes.forming.claims import SheetState, ToolGap
 from planner.proof.context import Context
 from planner.proof.prove import Prover

@@ -13,8 +13,8 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from planner.claims import sentences
 from planner.geometry.arrays import FloatArray
+from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.reader.panel import Panel, PanelError
 from planner.languages.krl.reader.syntax_tree import (
     AXIS_SPEEDS,
@@ -256,7 +256,7 @@ class Runner:
         if left := self.on - wait.off:
             self._fail(line, f"the program may end while $OUT[{min(left)}] is on")
         name = self.signals.inputs.get(wait.number, f"$IN[{wait.number}]")
-        wanted = sentences.NO_INPUT.filled(signal=name, seconds=wait.seconds)
+        wanted = krl_sentences.NO_INPUT.filled(signal=name, seconds=wait.seconds)
         wanted = wanted if self.panel.dialect == "krc4" else ""
         if letters(wait.text) != letters(wanted):
             self._fail(line, f"a wait that was in vain shows {wait.text!r}; wanted: {wanted!r}")

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from planner.claims import sentences
+from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.reader import syntax_tree
 from planner.languages.krl.reader.syntax_tree import (
     AxisLook,
@@ -198,7 +199,7 @@ class Panel:
         return Message("Set_KrlDlg", whole, True)
 
     def _state(self, text: str) -> Message:
-        forms = (sentences.WAITING, sentences.TOGETHER)
+        forms = (krl_sentences.WAITING, krl_sentences.TOGETHER)
         known = [form.filled(arm=arm) for arm in self.others for form in forms]
         if text not in known:
             wanted = " or ".join(map(repr, known)) or "nothing"
@@ -207,7 +208,7 @@ class Panel:
         return Message("#STATE", text)
 
     def _listens(self, depth: int) -> None:
-        forms = (sentences.TOGETHER,) if depth else (sentences.WAITING,)
+        forms = (krl_sentences.TOGETHER,) if depth else (krl_sentences.WAITING,)
         if self._shown not in [form.filled(arm=arm) for arm in self.others for form in forms]:
             raise PanelError("the program waits for the other arm, and the panel does not say so")
         self._waited = True
@@ -215,7 +216,7 @@ class Panel:
     def _foot(self, look: Foot) -> None:
         shift, turn, text = look.shift, look.turn, look.text
         self._aligned(look.along)
-        says = sentences.FOOT_RIDES if self.along else sentences.FOOT
+        says = krl_sentences.FOOT_RIDES if self.along else krl_sentences.FOOT
         wanted = says.filled(arm=self.arm) if self.dialect == "krc4" else ""
         if text != wanted:
             raise PanelError(f"$ROBROOT is looked at with the text {text!r}; wanted: {wanted!r}")

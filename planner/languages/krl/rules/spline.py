@@ -16,8 +16,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import sentences
-from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
+from planner.claims import dialogue
+from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.issues import Issue
 from planner.languages.krl.reader import spline_curve
@@ -25,6 +25,7 @@ from planner.languages.krl.reader.spline_curve import TURN_LEVER, Bounds
 from planner.languages.krl.reader.syntax_tree import SPLINE_MOVE
 from planner.processes.milling import claims
 from planner.processes.milling.claims import SafeWays, SparesPart
+from planner.processes.poses.claims import FollowsPoses, FollowsTable
 from planner.programs.job import TaskText
 from planner.programs.steps import JointTarget, MoveStep, PassedTarget, poses
 from planner.proof.context import Context, Outcome, at_step, mm, rule
@@ -51,7 +52,7 @@ _NO_TOLERANCE: Final[tuple[str, ...]] = ()
 """Of claims in which no length has a tolerance."""
 _CLAIM_TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
     ContactOnlyIn: _NO_TOLERANCE,
-    sentences.OperatorDialogue: _NO_TOLERANCE,
+    dialogue.OperatorDialogue: _NO_TOLERANCE,
     FollowsPoses: _NO_TOLERANCE,
     FollowsTable: _NO_TOLERANCE,
     FeedWindow: _NO_TOLERANCE,

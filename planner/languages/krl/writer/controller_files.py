@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.sentences import SignalWire
+from planner.claims.handshake import SignalWire
 from planner.issues import Issue, Severity
 from planner.languages.krl.writer import spline_blocks
 from planner.languages.krl.writer.data import Data, near_zero

@@ -19,6 +19,7 @@ from planner.cell.kinematics import forward
 from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue, TandemError
+from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.writer import spline_blocks, syntax
 from planner.languages.krl.writer import syntax as linear_moves
 from planner.languages.krl.writer.data import Data
@@ -69,7 +70,7 @@ def partner_lines(
 ) -> list[str]:
     """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
     a meeting it does already."""
-    waiting = sentences.WAITING.filled(arm=partner.other)
+    waiting = krl_sentences.WAITING.filled(arm=partner.other)
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
     runs = controller.number(partner.arm, own.partner_running)
@@ -281,7 +282,7 @@ class Main:
         off, the panel says so, and the program never goes on, whatever is started."""
         number = self.controller.number(self.task.arm.name, action.signal)
         seconds = math.ceil(1e3 * action.seconds)
-        text = sentences.NO_INPUT.filled(signal=action.signal, seconds=1e-3 * seconds)
+        text = krl_sentences.NO_INPUT.filled(signal=action.signal, seconds=1e-3 * seconds)
         return [
             "$TIMER[1]=0",
             "$TIMER_STOP[1]=FALSE",
@@ -317,7 +318,7 @@ class Main:
             calls = [f"$VEL_EXTAX[{TRACK_COLUMN + 1}]={ALL_PERCENT}", *calls]
             self._slow, self._stood = False, syntax.ridden(operation.station, operation.track.outer[last - 1])
         if self.partner is not None and operation.meets[first:last].any():
-            together = sentences.TOGETHER.filled(arm=self.partner.other)
+            together = krl_sentences.TOGETHER.filled(arm=self.partner.other)
             return syntax.during(together, calls, self.dialect)
         return calls
 

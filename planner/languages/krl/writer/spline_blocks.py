@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from planner.claims.claim import on_straight_moves_alone
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, from_quaternion, log_rotation, to_quaternion
 from planner.issues import Issue, Severity
 from planner.languages.krl.writer import syntax

@@ -18,11 +18,11 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import sentences
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
+from planner.languages.krl import sentences as krl_sentences
 from planner.languages.writing.layout import (
     POSITION_DECIMALS,
     TRACK_COLUMN,
@@ -156,7 +156,7 @@ def aggregate(fields: Mapping[str, str]) -> str:
 
 
 KRC2_FOOT: Final = "Arm {arm}: $ROBROOT is off zero by tm_shift mm, tm_turn deg."
-"""As `planner.claims.sentences.FOOT`, where a message has no parameters."""
+"""As `planner.languages.krl.sentences.FOOT`, where a message has no parameters."""
 KRC2_FOOT_RIDES: Final = "Arm {arm}: $ROBROOT_C is off track by tm_shift mm, tm_turn deg."
 """The same of `FOOT_RIDES`."""
 EXTERNAL_REFUSAL: Final = (
@@ -273,7 +273,7 @@ def robroot_check(arm: str, dialect: KrlDialect, along: Mapping[int, FloatArray]
             off.append(f"ABS({root}.{axis}{taken})")
         shifts = [f"tm_shift={off[0]}", *(f"tm_shift=tm_shift+{one}" for one in off[1:])]
     looked = [*shifts, turned]
-    names = (sentences.FOOT_RIDES if along else sentences.FOOT).filled(arm=arm)
+    names = (krl_sentences.FOOT_RIDES if along else krl_sentences.FOOT).filled(arm=arm)
     if dialect == "krc2":
         shown = comment((KRC2_FOOT_RIDES if along else KRC2_FOOT).format(arm=arm))
         after: list[str] = []
@@ -297,7 +297,7 @@ def axis_check(axis: tuple[str, str], column: int, home: float, dialect: KrlDial
     unit, sign = axis
     wanted = number(home, OUTER_DECIMALS)
     off = f"{'+' if wanted.startswith('-') else '-'}{wanted.removeprefix('-')}"
-    text = sentences.KRL_AXIS_AWAY.filled(unit=unit, sign=sign, home=wanted)
+    text = krl_sentences.KRL_AXIS_AWAY.filled(unit=unit, sign=sign, home=wanted)
     shown = comment(text.replace("%1", "tm_shift"))
     if dialect == "krc4":
         shown = [

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from planner.claims import sentences
+from planner.languages.rapid import sentences as rapid_sentences
 from planner.problem import Controller
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.text import Row
@@ -91,10 +92,10 @@ def routines(controller: Controller, signals: Sequence[str], lit: frozenset[str]
     for flag, request in kept.items():
         if request in lit:
             continue
-        asked += _question(flag, sentences.again(request), sentences.BUTTONS)
+        asked += _question(flag, rapid_sentences.again(request), rapid_sentences.BUTTONS)
         real = controller.interlock.of(request).signal
         asked += f"ELSEIF answer=2 AND DOutput({real})=1 THEN {flag}:=FALSE; "
-        asked += _else(sentences.REFUSED, stop)
+        asked += _else(rapid_sentences.REFUSED, stop)
     answer = "VAR num answer; "
     anew = f"PROC tandem_again() {answer if asked else ''}tandem_off; {ends}{asked}ENDPROC "
     waits = "".join(f"WaitUntil NOT {flag};" for flag in kept)

@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 
 from planner.claims import sentences
-from planner.claims.sentences import SignalWire
+from planner.claims.handshake import SignalWire
+from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.writer.syntax import identifier, quoted
 from planner.languages.writing import handshake
 from planner.languages.writing.handshake import ConfigurationRow
@@ -179,10 +180,10 @@ def _module(controller: Controller, requests: Sequence[str], torches: Sequence[s
     for request, flag in cut.items():
         real = controller.interlock.of(request).signal
         out += [
-            *_asked(flag, sentences.again(request), sentences.BUTTONS),
+            *_asked(flag, rapid_sentences.again(request), rapid_sentences.BUTTONS),
             f"      ELSEIF answer=2 AND DOutput({real})=1 THEN",
             f"        {flag}:=FALSE;",
-            *_refused(sentences.REFUSED, stop),
+            *_refused(rapid_sentences.REFUSED, stop),
         ]
     out += ["  ENDPROC"]
     if together:
@@ -202,14 +203,14 @@ def _begun_anew(torches: Sequence[str], flags: Mapping[str, str], stop: str) -> 
     out += ["    tandem_off;", "  ENDPROC", ""]
     out += ["  ! Where a torch burned no start goes on; PP to main alone leads out."]
     out += ["  PROC tandem_end()", "    WHILE TRUE DO"]
-    out += [f"      TPWrite {quoted(line)};" for line in sentences.ENDED]
+    out += [f"      TPWrite {quoted(line)};" for line in rapid_sentences.ENDED]
     out += [f"      {stop}", "    ENDWHILE", "  ENDPROC", ""]
     out += ["  ! At a start anew: nothing is lit again, and all slots are still to be cut."]
     out += ["  PROC tandem_begin()", "    VAR num answer;", "    tandem_off;"]
     for request in torches:
-        words = sentences.burned(request)
-        out += _asked(flags[request], words, sentences.BEGIN_BUTTONS)
-        out += _refused(sentences.ENDED, stop)
+        words = rapid_sentences.burned(request)
+        out += _asked(flags[request], words, rapid_sentences.BEGIN_BUTTONS)
+        out += _refused(rapid_sentences.ENDED, stop)
     return [*out, "    tandem_again;", "  ENDPROC"]
 
 

@@ -12,9 +12,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.issues import Issue, TandemError
+from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.writer.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
 from planner.languages.writing.layout import (
     Carry,
@@ -229,10 +229,10 @@ def check_procedures(task: TaskProgram, job: Job, plan: Plan, tools: Tools, robo
     for part in range(4):
         out += [f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;']
         out += [f"cfg_base.rot.q{part + 1}:=cfg_value;"]
-    out += [_pose(sentences.base_of(task.arm.name), "cfg_base", "base_frame")]
+    out += [_pose(rapid_sentences.base_of(task.arm.name), "cfg_base", "base_frame")]
     for name, matrix in {tools.of(op.arm.tool): op.arm.tool.tcp for op in task.operations}.items():
-        out += [_pose(sentences.frame_of(name), f"{name}.tframe", pose(matrix))]
-        out += [f"check_true {quoted(sentences.kind_of(name))},{name}.robhold;"]
+        out += [_pose(rapid_sentences.frame_of(name), f"{name}.tframe", pose(matrix))]
+        out += [f"check_true {quoted(rapid_sentences.kind_of(name))},{name}.robhold;"]
     return [*out, *_wobj_checks(task, job, plan)]
 
 
@@ -244,17 +244,17 @@ def _wobj_checks(task: TaskProgram, job: Job, plan: Plan) -> list[str]:
             continue
         frame = operation.track.frame
         name = wobj_name(frame, operation.setup)
-        kind = quoted(sentences.kind_of(name))
+        kind = quoted(rapid_sentences.kind_of(name))
         if frame == "stock":
             place, inner = pose(plan.places[operation.setup - 1]), pose(np.eye(4))
-            lines = [_pose(sentences.user_frame_of(name), f"{name}.uframe", place)]
+            lines = [_pose(rapid_sentences.user_frame_of(name), f"{name}.uframe", place)]
             lines += [f"check_true {kind},NOT {name}.robhold AND {name}.ufprog;"]
         else:
             holder = next(t for t in job.tasks if t.arm.name == frame.removeprefix("held:"))
             inner = pose(holder.operations[index].arm.tool.tcp)
             moved = f"NOT {name}.robhold AND NOT {name}.ufprog AND {name}.ufmec={quoted(holder.unit)}"
             lines = [f"check_true {kind},{moved};"]
-        out[name] = [_pose(sentences.object_frame_of(name), f"{name}.oframe", inner), *lines]
+        out[name] = [_pose(rapid_sentences.object_frame_of(name), f"{name}.oframe", inner), *lines]
     return [line for lines in out.values() for line in lines]
 
 
@@ -276,7 +276,7 @@ def axes_checks(task: TaskProgram) -> list[str]:
     out = ["VAR jointtarget cfg_here;", "cfg_here:=CJointT();"]
     for column, home in task.home_station:
         label, sign = outer_names(task)[column]
-        name = quoted(sentences.axis_of(label))
+        name = quoted(rapid_sentences.axis_of(label))
         value = f"cfg_here.extax.eax_{'abcdef'[column]}"
         out.append(f"check_axis {name},{value},{number(home, OUTER_DECIMALS)},{AXIS_AWAY[sign]};")
     return out
@@ -288,7 +288,7 @@ def helpers(together: bool, axes: bool) -> list[str]:
         "PROC check_axis(string what,num got,num wanted,num most)",
         "  IF Abs(got-wanted)>most THEN",
         "    TPWrite what;",
-        f"    TPWrite {quoted(sentences.OFF_HOME)}\\Num:=got-wanted;",
+        f"    TPWrite {quoted(rapid_sentences.OFF_HOME)}\\Num:=got-wanted;",
         "    check_stop;",
         "  ENDIF",
         "ENDPROC",
@@ -308,8 +308,8 @@ def helpers(together: bool, axes: bool) -> list[str]:
         f"    +{apart[2]}+{apart[3]});",
         "  IF Distance(got.trans,wanted.trans)>0.1 OR off_turn>0.02 THEN",
         "    TPWrite what;",
-        f"    TPWrite {quoted(sentences.OFF_BY_MM)}\\Num:=Distance(got.trans,wanted.trans);",
-        f"    TPWrite {quoted(sentences.OFF_BY_DEGREES)}\\Num:=off_turn;",
+        f"    TPWrite {quoted(rapid_sentences.OFF_BY_MM)}\\Num:=Distance(got.trans,wanted.trans);",
+        f"    TPWrite {quoted(rapid_sentences.OFF_BY_DEGREES)}\\Num:=off_turn;",
         "    check_stop;",
         "  ENDIF",
         "ENDPROC",
@@ -317,7 +317,7 @@ def helpers(together: bool, axes: bool) -> list[str]:
         "PROC check_true(string what,bool same)",
         "  IF NOT same THEN",
         "    TPWrite what;",
-        f"    TPWrite {quoted(sentences.NOT_AS_PLANNED)};",
+        f"    TPWrite {quoted(rapid_sentences.NOT_AS_PLANNED)};",
         "    check_stop;",
         "  ENDIF",
         "ENDPROC",
@@ -325,7 +325,7 @@ def helpers(together: bool, axes: bool) -> list[str]:
         *(axis if axes else ()),
         "! a start does not lead out of here",
         "PROC check_stop()",
-        *(f"  TPWrite {quoted(line)};" for line in sentences.NOTHING_MOVES),
+        *(f"  TPWrite {quoted(line)};" for line in rapid_sentences.NOTHING_MOVES),
         "  WHILE TRUE DO",
         "    Stop\\AllMoveTasks;" if together else "    Stop;",
         "  ENDWHILE",

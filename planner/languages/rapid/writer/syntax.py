@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue.robots import OffsetParameters, RobotData
-from planner.claims.sentences import HEADER, Segment, fold
+from planner.claims.segments import Segment, fold
+from planner.claims.sentences import HEADER
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, log_rotation
 from planner.issues import Issue, TandemError
 from planner.languages.writing.layout import LINE_END, number, plain

@@ -23,6 +23,7 @@ import numpy as np
 
 from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, exp_rotation, to_quaternion
+from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.urscript.reader.reader import ScriptText, pose
 from planner.languages.urscript.reader.syntax_tree import (
     AWAIT_LINE,
@@ -105,7 +106,7 @@ def flow(
     if text.program is None:
         return ()
     return _Runner(
-        text.program, base, wires, sentences.OTHER_ARM.filled(arm=arm, model=model), velocity
+        text.program, base, wires, urscript_sentences.OTHER_ARM.filled(arm=arm, model=model), velocity
     ).run()
 
 
@@ -193,7 +194,7 @@ class _Runner:
                     what = "the program looks whether a torch stays on behind what it has switched"
                     self._fail(statement, what)
             case StaysLow(number=number, off=off, text=text):
-                wanted = sentences.STAYS_ON.filled(signal=self.wires.running)
+                wanted = urscript_sentences.STAYS_ON.filled(signal=self.wires.running)
                 if not self.meets or not self._runs(number) or text != wanted:
                     self._fail(
                         statement, "a look at an output that is not the own running wire's, or its text"
@@ -274,7 +275,7 @@ class _Runner:
                 continue  # it ends nothing
             if not self._runs(ending.own):
                 self._fail(ending, f"{name} reads {self._output(ending.own)} back, not {wires.running}")
-            lost = sentences.PARTNER_LOST if name == WATCH else sentences.UNANSWERED
+            lost = urscript_sentences.PARTNER_LOST if name == WATCH else sentences.UNANSWERED
             wanted = lost.filled(other=wires.other)
             if ending.text != wanted:
                 self._fail(ending, f"{name} shows {ending.text!r}; wanted: {wanted!r}")

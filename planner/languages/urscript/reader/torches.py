@@ -11,7 +11,7 @@ import enum
 from collections.abc import Callable
 from typing import NoReturn
 
-from planner.claims import sentences
+from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.urscript.reader.syntax_tree import (
     ArcFunction,
     AwaitArc,
@@ -62,9 +62,9 @@ class Torches:
             if one.own is None:
                 continue
             signal = self.output(one.own)
-            wanted = sentences.TORCH_STOOD.filled(signal=signal)
+            wanted = urscript_sentences.TORCH_STOOD.filled(signal=signal)
             if one.given is not None:
-                wanted = sentences.ARC_LOST.filled(signal=signal, ok_signal=self.input(one.given))
+                wanted = urscript_sentences.ARC_LOST.filled(signal=signal, ok_signal=self.input(one.given))
             if one.text != wanted:
                 self.fail(one, f"{name} shows {one.text!r}; wanted: {wanted!r}")
 
@@ -102,7 +102,7 @@ class Torches:
         return found
 
     def _look(self, look: StaysLow) -> None:
-        wanted = sentences.STAYS_ON.filled(signal=self.output(look.number))
+        wanted = urscript_sentences.STAYS_ON.filled(signal=self.output(look.number))
         if look.text != wanted:
             self.fail(look, f"the look at a torch shows {look.text!r}; wanted: {wanted!r}")
         if look.off != (look.number,):
@@ -116,7 +116,9 @@ class Torches:
         function = self._function(wait)
         if self.state is not _State.LIT:
             self.fail(wait, "a wait for an arc elsewhere than right behind its output's rise")
-        wanted = sentences.NO_ARC.filled(signal=self.input(function.given or 0), seconds=wait.seconds)
+        wanted = urscript_sentences.NO_ARC.filled(
+            signal=self.input(function.given or 0), seconds=wait.seconds
+        )
         if function.text != wanted:
             self.fail(wait, f"{wait.name} shows {function.text!r}; wanted: {wanted!r}")
         self.state = _State.BURNS

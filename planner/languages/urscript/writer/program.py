@@ -28,9 +28,10 @@ import numpy as np
 from planner.catalogue.robots import ParallelParameters, RobotData
 from planner.cell.kinematics import forward
 from planner.claims import sentences
-from planner.claims.sentences import PartnerSignals
+from planner.claims.handshake import PartnerSignals
 from planner.geometry.arrays import BoolArray, FloatArray, from_rpy, inverse
 from planner.issues import Issue, TandemError
+from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.urscript.writer import syntax
 from planner.languages.urscript.writer.syntax import comment, mark, name
 from planner.languages.urscript.writer.torches import Torch, torches
@@ -168,12 +169,12 @@ class _Main:
         self._declare("base_frame", syntax.pose(self.base))
         home = self._joints(Joints(self.task.arm.home, "home"), 0)
         place = inverse(self.foot) @ forward(self.task.robot, self.task.arm.home) @ CHECK_TIP
-        text = sentences.OTHER_ARM.filled(arm=self.task.arm.name, model=self.task.arm.robot)
+        text = urscript_sentences.OTHER_ARM.filled(arm=self.task.arm.name, model=self.task.arm.robot)
         out = self._unlit()
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
         if self.partner is not None:
             running = self._own.running
-            stays = sentences.STAYS_ON.filled(signal=running)
+            stays = urscript_sentences.STAYS_ON.filled(signal=running)
             out += syntax.stays_low(self._number(running), self._runs(False), stays)
         out += syntax.kinematics_check(home, CHECK_TIP, place, CHECK_ERROR, text)
         clear = (sentences.KRL_CLEAR if self.problem.setups[0].steps else sentences.KRL_READY).filled()
@@ -193,7 +194,7 @@ class _Main:
         """The program ends where the output of a torch is on before it has switched anything."""
         out: list[str] = []
         for signal in dict.fromkeys(torch.signal for torch in self.torches.values()):
-            stays = sentences.STAYS_ON.filled(signal=signal)
+            stays = urscript_sentences.STAYS_ON.filled(signal=signal)
             out += syntax.stays_low(self._number(signal), self._switch(signal, False), stays)
         return out
 
@@ -221,7 +222,7 @@ class _Main:
         """What waits for the other program, and what watches it."""
         own = partner.handshake.of(partner.arm)
         off = [self._switch(signal, False) for signal in (own.running, *self.job.switched(self.task))]
-        lost = sentences.PARTNER_LOST.filled(other=partner.other)
+        lost = urscript_sentences.PARTNER_LOST.filled(other=partner.other)
         given, runs, back = (self._number(s) for s in (own.input, own.partner_running, own.running))
         return [
             *syntax.wait_function(syntax.AWAIT_LINE, given, back, off, partner.unanswered),

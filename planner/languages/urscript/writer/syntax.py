@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, from_quaternion, log_rotation
 from planner.issues import Issue, TandemError
 from planner.languages.writing.layout import Track, number, plain, short

@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import sentences
+from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.urscript.writer import syntax
 from planner.languages.writing.layout import Do, OperationProgram, TaskProgram
 
@@ -108,7 +108,7 @@ def functions(torch: Torch, output: int, given: int | None, off: Sequence[str]) 
     """What waits for a torch and what watches it, with its numbers; ``off``: all that goes off where the
     program ends."""
     if given is not None and torch.ok_signal is not None:
-        text = sentences.NO_ARC.filled(signal=torch.ok_signal, seconds=torch.timeout)
+        text = urscript_sentences.NO_ARC.filled(signal=torch.ok_signal, seconds=torch.timeout)
         yield from (
             f"def {AWAIT_ARC}{torch.suffix}(limit):",
             "local passed=0.0",
@@ -122,7 +122,7 @@ def functions(torch: Torch, output: int, given: int | None, off: Sequence[str]) 
             "end",
             "end",
         )
-        text = sentences.ARC_LOST.filled(signal=torch.signal, ok_signal=torch.ok_signal)
+        text = urscript_sentences.ARC_LOST.filled(signal=torch.signal, ok_signal=torch.ok_signal)
         watched, burns = (
             f" and arc_lost<={LOST}",
             [
@@ -133,7 +133,7 @@ def functions(torch: Torch, output: int, given: int | None, off: Sequence[str]) 
             ],
         )
     else:
-        text, watched, burns = sentences.TORCH_STOOD.filled(signal=torch.signal), "", []
+        text, watched, burns = urscript_sentences.TORCH_STOOD.filled(signal=torch.signal), "", []
     yield from (
         f"thread {WATCH_ARC}{torch.suffix}():",
         *(["local arc_lost=0.0"] if burns else []),

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.claims import sentences as words
 from planner.claims.claim import Claim
-from planner.claims.sentences import (
+from planner.claims.dialogue import (
     DialogueStop,
     OperatorDialogue,
     message_step,
@@ -25,6 +25,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Sheet
+from planner.processes.forming import sentences
 from planner.processes.forming.claims import (
     ComesBack,
     FollowsOpposite,
@@ -245,7 +246,10 @@ def spoken(op: Forming, sheet: Sheet | None) -> tuple[words.Sentence, words.Sent
     stages = None if sheet is None else sheet.stages
     found = sheet is not None and (bool(sheet.holes) or (stages is not None and bool(stages.before)))
     stays = op.level is not None or (stages is not None and stages.stays)
-    return words.STAGE_READY if found else words.SHEET_READY, words.STAYS if stays else words.FORMED
+    return (
+        sentences.STAGE_READY if found else sentences.SHEET_READY,
+        sentences.STAYS if stays else sentences.FORMED,
+    )
 
 
 def dialogue(
@@ -256,14 +260,14 @@ def dialogue(
     sheet = setup.stock.sheet
     x, y, z = (float(size) for size in setup.stock.size / MM)
     first = [
-        message_step(words.SHEET, x_mm=x, y_mm=y, z_mm=z, metal="" if sheet is None else sheet.metal.name)
+        message_step(sentences.SHEET, x_mm=x, y_mm=y, z_mm=z, metal="" if sheet is None else sheet.metal.name)
     ]
     if wanted.sinking is not None:
-        first.append(question_step(words.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
+        first.append(question_step(sentences.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
     level = operation.level
     if level is not None:
-        name = level.pass_name or words.FIRST_PASS
-        first.append(question_step(words.LEVEL, number=level.number, name=name))
+        name = level.pass_name or sentences.FIRST_PASS
+        first.append(question_step(sentences.LEVEL, number=level.number, name=name))
     ready, done = spoken(operation, sheet)
     first.append(question_step(ready))
     stops: tuple[DialogueStop, ...] = ()

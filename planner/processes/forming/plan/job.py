@@ -19,12 +19,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import sentences
 from planner.claims.claim import Claim
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts, read_only
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Setup
+from planner.processes.forming import sentences as forming_sentences
 from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.plan import claims as forming_claims
 from planner.processes.forming.plan import level as one_level
@@ -464,15 +464,17 @@ def _actions(
     """What the operator is told and asked, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM
     metal = made.sheet.metal.name
-    sheet = sentences.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
+    sheet = forming_sentences.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
     out = [Action(0, "message", sheet)]
     one, path = paths[0]
     if two_point.holder_sinks(made):
         high = abs(one.start - one.end) / MM
-        out.append(Action(0, "confirm", sentences.RIM.filled(high_mm=high)))
+        out.append(Action(0, "confirm", forming_sentences.RIM.filled(high_mm=high)))
     level = made.operation.level
     if level is not None:
-        named = sentences.LEVEL.filled(number=level.number, name=level.pass_name or sentences.FIRST_PASS)
+        named = forming_sentences.LEVEL.filled(
+            number=level.number, name=level.pass_name or forming_sentences.FIRST_PASS
+        )
         out.append(Action(0, "confirm", named))
     ready, done = forming_claims.spoken(made.operation, made.sheet)
     out.append(Action(0, "confirm", ready.filled()))

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError

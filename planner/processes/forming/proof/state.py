@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from planner.claims.claim import Claim
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse, lengths
 from planner.processes.forming.claims import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.processes.forming.proof.face import Face, Nearest, left_by

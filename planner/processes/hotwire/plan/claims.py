@@ -36,38 +36,34 @@ from planner.catalogue.materials import (
     WireMaterial,
     wire_material,
 )
-from planner.claims import sentences
-from planner.claims.claim import (
-    Claim,
-    ContactOnlyIn,
-    Contour,
-    CutsSurface,
-    FeedWindow,
-    FollowsRulings,
-    HoldsStock,
-    KerfCurve,
-    KerfWithin,
-    LeadsFrom,
-    OneOf,
-    SlitsAllowed,
-    StraightWire,
-    WireJoins,
-)
-from planner.claims.sentences import (
+from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock, OneOf
+from planner.claims.dialogue import (
     DialogueStop,
     Figure,
     OperatorDialogue,
-    Segment,
     message_step,
     power_off_steps,
     power_on_steps,
     question_step,
 )
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, Mesh, Ruled
 from planner.geometry.rulings import tessellate
 from planner.geometry.units import GRAVITY, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
+from planner.processes.hotwire import sentences as hotwire_sentences
+from planner.processes.hotwire.claims import (
+    Contour,
+    CutsSurface,
+    FollowsRulings,
+    KerfCurve,
+    KerfWithin,
+    LeadsFrom,
+    SlitsAllowed,
+    StraightWire,
+    WireJoins,
+)
 from planner.processes.hotwire.plan.operation import (
     RESTING_COSINE,
     ElasticWire,
@@ -379,14 +375,14 @@ def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]
     material = f" {op.wire_material}" if op.wire_material.strip() else ""
     wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
     if op.power_w is not None:
-        mounted = message_step(sentences.BOW_POWER, **wire, power_w=op.power_w)
+        mounted = message_step(hotwire_sentences.BOW_POWER, **wire, power_w=op.power_w)
     else:
-        mounted = message_step(sentences.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
+        mounted = message_step(hotwire_sentences.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
     on, off = power_on_steps(op.signal, op.heat_up_s), power_off_steps(op.signal, op.cool_down_s)
     spaced = (
         *off,
-        message_step(sentences.SPACERS, kerf_mm=op.kerf_mm),
-        question_step(sentences.SPACED),
+        message_step(hotwire_sentences.SPACERS, kerf_mm=op.kerf_mm),
+        question_step(hotwire_sentences.SPACED),
         *on,
     )
     stops = []
@@ -397,8 +393,8 @@ def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]
             stops.append(DialogueStop(cut.segment.at("out"), "behind", spaced, optional=optional))
     return OperatorDialogue(
         op.arms,
-        (mounted, question_step(sentences.TAUT), *on),
-        (*off, question_step(sentences.COLD)),
+        (mounted, question_step(hotwire_sentences.TAUT), *on),
+        (*off, question_step(hotwire_sentences.COLD)),
         tuple(stops),
     )
 
@@ -499,14 +495,14 @@ def _elastic_dialogue(op: ElasticWire, own: WireFile) -> OperatorDialogue:
     return OperatorDialogue(
         op.arms,
         (
-            message_step(sentences.WIRE, material=own.material, size=own.size),
-            message_step(sentences.MOUNT, cold_mm=cold / MM),
-            message_step(sentences.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
-            question_step(sentences.CLAMPED),
+            message_step(hotwire_sentences.WIRE, material=own.material, size=own.size),
+            message_step(hotwire_sentences.MOUNT, cold_mm=cold / MM),
+            message_step(hotwire_sentences.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            question_step(hotwire_sentences.CLAMPED),
             *power_on_steps(op.signal, op.heat_up_s),
-            question_step(sentences.LOCKED, hot_mm=own.length_mm),
+            question_step(hotwire_sentences.LOCKED, hot_mm=own.length_mm),
         ),
-        (*power_off_steps(op.signal, op.cool_down_s), question_step(sentences.TAKEN_OFF)),
+        (*power_off_steps(op.signal, op.cool_down_s), question_step(hotwire_sentences.TAKEN_OFF)),
         joined=True,
     )
 

@@ -14,11 +14,11 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.catalogue.materials import Foam
-from planner.claims.claim import KerfCurve
-from planner.claims.sentences import fold
+from planner.claims.segments import fold
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Controller, Stock
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.kerf import width
 from planner.reading.materials import WireFile
 from planner.reading.strict_yaml import Angle, Far, Name, Strict

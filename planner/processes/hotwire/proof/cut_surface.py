@@ -22,11 +22,11 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.claim import CutsSurface, FollowsRulings
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import small_pieces
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.processes.hotwire.claims import CutsSurface, FollowsRulings
 from planner.proof.verdict import CutFace
 
 SAMPLE_EDGE = 0.005

@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from planner.claims.claim import Contour, CutsSurface, LeadsFrom, SlitsAllowed
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.processes.hotwire.claims import Contour, CutsSurface, LeadsFrom, SlitsAllowed
 from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.proof.context import Context
 from planner.proof.replay.motion import local

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.claim import CutsSurface, KerfCurve
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from planner.processes.hotwire.proof.cut_surface import SAMPLE_EDGE, Sweep, closest, sample_face
 
 WALL_EDGE = 0.004

@@ -10,9 +10,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims.claim import StraightWire, WireJoins
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, log_rotation
 from planner.problem import Stock
+from planner.processes.hotwire.claims import StraightWire, WireJoins
 from planner.processes.hotwire.proof.rod import Rod, RodError, RodPath, follow, mount
 from planner.proof.context import Context, Phase
 

@@ -20,21 +20,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import sentences
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
-from planner.claims.sentences import (
+from planner.claims.dialogue import (
     OperatorDialogue,
-    Segment,
     message_step,
     power_off_steps,
     power_on_steps,
     question_step,
 )
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, from_parts, read_only
 from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part
+from planner.processes.milling import sentences as milling_sentences
 from planner.processes.milling.claims import (
     Engraves,
     MillsFlank,
@@ -101,17 +101,17 @@ def _dialogue(work: Work) -> OperatorDialogue:
     block = {"x_mm": float(size[0]), "y_mm": float(size[1]), "z_mm": float(size[2])}
     cutter = {"kind": work.cutter.kind, "diameter_mm": 2.0 * work.cutter.radius / MM}
     if op.by_files:
-        tell = message_step(sentences.BLOCK_OF_FILE, **block, **cutter)
+        tell = message_step(milling_sentences.BLOCK_OF_FILE, **block, **cutter)
     else:
-        tell = message_step(sentences.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
+        tell = message_step(milling_sentences.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
     return OperatorDialogue(
         op.arms,
         (
             tell,
-            question_step(sentences.BLOCK_READY),
+            question_step(milling_sentences.BLOCK_READY),
             *power_on_steps(op.signal, op.spin_up_s),
         ),
-        (*power_off_steps(op.signal, op.spin_down_s), question_step(sentences.STANDS)),
+        (*power_off_steps(op.signal, op.spin_down_s), question_step(milling_sentences.STANDS)),
     )
 
 
@@ -462,13 +462,13 @@ def _actions(made: Work, route: Route) -> tuple[Action, ...]:
     return (
         Action(0, "message", _cuts_message(made)),
         *(Action(0, "confirm", run.before) for run in made.runs[:1] if run.before),
-        Action(0, "confirm", sentences.BLOCK_READY.filled()),
+        Action(0, "confirm", milling_sentences.BLOCK_READY.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.spin_up_s),
         *_between(made, route),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.spin_down_s),
-        Action(last, "confirm", sentences.STANDS.filled()),
+        Action(last, "confirm", milling_sentences.STANDS.filled()),
     )
 
 
@@ -477,8 +477,8 @@ def _cuts_message(made: Work) -> str:
     size, op = (made.box[1] - made.box[0]) / MM, made.operation
     figures = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * made.cutter.radius}
     if op.by_files:
-        return sentences.BLOCK_OF_FILE.filled(kind=made.cutter.kind, **figures)
-    return sentences.BLOCK.filled(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
+        return milling_sentences.BLOCK_OF_FILE.filled(kind=made.cutter.kind, **figures)
+    return milling_sentences.BLOCK.filled(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
 
 
 def _between(made: Work, route: Route) -> Iterator[Action]:

@@ -20,10 +20,10 @@ from pydantic import (
     model_validator,
 )
 
-from planner.claims.sentences import fold
+from planner.claims.drawn_curve import DrawnCurve
+from planner.claims.segments import fold
 from planner.geometry.units import DEG, MM
 from planner.problem import Stock
-from planner.processes.milling.claims import DrawnCurve
 from planner.processes.milling.plan.gcode.state import (
     INCH,
     KINEMATICS,

@@ -14,13 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import sentences
-from planner.claims.sentences import clash
+from planner.claims.segments import clash
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh
 from planner.geometry.rulings import tessellate
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup
+from planner.processes.milling import sentences as milling_sentences
 from planner.processes.milling.plan import cutter_contact as milling_face
 from planner.processes.milling.plan import flank_cut, point_cut
 from planner.processes.milling.plan.cutter_contact import Over
@@ -130,12 +130,12 @@ def _questions(
     before ended at row ``since``, at the speed ``before``."""
     first, last = stretch
     pauses = [e.line for e in events if e.kind == "pause" and since < e.at - 1 <= first]
-    asked = [sentences.FILE_LINE.filled(line=line) for line in pauses]
+    asked = [milling_sentences.FILE_LINE.filled(line=line) for line in pauses]
     speed = float(path.spindle[last])
     if speed != before:
-        way = sentences.SPEED if speed > 0 else sentences.SPEED_BACK
+        way = milling_sentences.SPEED if speed > 0 else milling_sentences.SPEED_BACK
         asked.append(way.filled(rpm=abs(speed) * 30.0 / np.pi))
-    return sentences.GO_ON.filled(asked=", ".join(asked)) if asked else ""
+    return milling_sentences.GO_ON.filled(asked=", ".join(asked)) if asked else ""
 
 
 def _run(

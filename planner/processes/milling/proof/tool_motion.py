@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.problem import Stock

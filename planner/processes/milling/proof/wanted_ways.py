@@ -19,17 +19,13 @@ from scipy.interpolate import BSpline
 
 from planner.claims import sentences
 from planner.claims.claim import Claim, FeedWindow
-from planner.claims.sentences import DialogueStep, DialogueStop, OperatorDialogue, Segment, question_step
+from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue, question_step
+from planner.claims.drawn_curve import DrawnCurve
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
-from planner.processes.milling.claims import (
-    DrawnCurve,
-    Engraves,
-    MillsAlong,
-    MillsProgram,
-    SafeWays,
-    SparesPart,
-)
+from planner.processes.milling import sentences as milling_sentences
+from planner.processes.milling.claims import Engraves, MillsAlong, MillsProgram, SafeWays, SparesPart
 from planner.processes.milling.proof import gcode_moves
 from planner.processes.milling.proof.gcode_lines import UnreadableError
 from planner.processes.milling.proof.gcode_moves import Way
@@ -114,11 +110,13 @@ def passes(program: MillsProgram) -> tuple[Pass, ...]:
         zip((np.flatnonzero(edge > 0) - 1).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True), 1
     ):
         pauses = [line for line, at in way.pauses if before < at - 1 <= first]
-        spoken = [sentences.FILE_LINE.filled(line=line) for line in pauses]
+        spoken = [milling_sentences.FILE_LINE.filled(line=line) for line in pauses]
         own = float(way.spindle[last])
         if own != speed:
-            spoken.append((sentences.SPEED if own > 0.0 else sentences.SPEED_BACK).filled(rpm=abs(own)))
-        question = sentences.GO_ON.filled(asked=", ".join(spoken)) if spoken else ""
+            spoken.append(
+                (milling_sentences.SPEED if own > 0.0 else milling_sentences.SPEED_BACK).filled(rpm=abs(own))
+            )
+        question = milling_sentences.GO_ON.filled(asked=", ".join(spoken)) if spoken else ""
         rows = slice(first, last + 1)
         if _extent(way, rows) > SAME_PLACE:
             out.append(Pass(number, _part(way, rows), question))

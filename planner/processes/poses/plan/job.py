@@ -14,14 +14,15 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from planner.claims import claim as claimed
 from planner.claims.claim import Claim
-from planner.claims.sentences import OperatorDialogue, Segment
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.segments import Segment
 from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, from_parts, from_quaternion
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Stock
+from planner.processes.poses import claims
 from planner.reading.strict_yaml import Name, Strict
 from planner.targets import Job, ScrewFreedom, Targets
 
@@ -179,7 +180,7 @@ class PosedJob(Job[Posed]):
         """Each TCP passes the poses of the file, as the proof reads it, up to its free axes."""
         op = self.operation
         free = tuple(
-            claimed.FreeAxis(
+            claims.FreeAxis(
                 tuple(axis.arms),
                 AXIS_INDEX[axis.axis],
                 axis.turn_deg is not None,
@@ -194,7 +195,7 @@ class PosedJob(Job[Posed]):
         tolerance = (op.position_tol_mm * MM, op.angle_tol_deg * DEG)
         least = (op.feed_min_mm_s * MM, op.run_up_mm * MM)
         return (
-            claimed.FollowsTable(op.name, op.arms, op.frame, free, *tolerance, feed, *least),
+            claims.FollowsTable(op.name, op.arms, op.frame, free, *tolerance, feed, *least),
             OperatorDialogue(op.arms, joined=op.coupled),
         )
 

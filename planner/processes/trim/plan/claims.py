@@ -5,9 +5,8 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from planner.claims import sentences
 from planner.claims.claim import Claim, ContactOnlyIn
-from planner.claims.sentences import (
+from planner.claims.dialogue import (
     DialogueStep,
     OperatorDialogue,
     message_step,
@@ -15,9 +14,10 @@ from planner.claims.sentences import (
     power_on_steps,
     question_step,
 )
+from planner.claims.drawn_curve import DrawnCurve
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
-from planner.processes.milling.claims import DrawnCurve
+from planner.processes.trim import sentences as trim_sentences
 from planner.processes.trim.claims import SurfaceFile, TrimBlade, TrimCutter, TrimOutline, TrimsSheet
 from planner.processes.trim.plan.cutting import Trimmer, kerf_of
 from planner.processes.trim.plan.operation import KnifeCut, MillCut, OutlineFile, Trim
@@ -124,19 +124,25 @@ def told(op: Trim, setup: Setup, torch: Trimmer) -> dict[str, float | str]:
 def _dialogue(op: Trim, setup: Setup, torch: Trimmer) -> OperatorDialogue:
     figures = told(op, setup, torch)
     if isinstance(op.by, MillCut):
-        begin = message_step(sentences.TRIM_MILL, **figures), question_step(sentences.TRIM_MILL_READY)
-        end = question_step(sentences.TRIM_MILL_STANDS)
+        begin = (
+            message_step(trim_sentences.TRIM_MILL, **figures),
+            question_step(trim_sentences.TRIM_MILL_READY),
+        )
+        end = question_step(trim_sentences.TRIM_MILL_STANDS)
         return _powered(op, begin, end, op.by.spin_up_s, op.by.spin_down_s)
     if isinstance(op.by, KnifeCut):
-        begin = message_step(sentences.TRIM_KNIFE, **figures), question_step(sentences.TRIM_KNIFE_READY)
-        end = question_step(sentences.TRIM_KNIFE_DONE)
+        begin = (
+            message_step(trim_sentences.TRIM_KNIFE, **figures),
+            question_step(trim_sentences.TRIM_KNIFE_READY),
+        )
+        end = question_step(trim_sentences.TRIM_KNIFE_DONE)
         return _powered(op, begin, end, op.by.start_up_s, op.by.run_down_s)
     first = (
-        message_step(sentences.TORCH, **figures),
-        message_step(sentences.TORCH_STOPPED),
-        question_step(sentences.TORCH_READY),
+        message_step(trim_sentences.TORCH, **figures),
+        message_step(trim_sentences.TORCH_STOPPED),
+        question_step(trim_sentences.TORCH_READY),
     )
-    return OperatorDialogue(op.arms, first, (question_step(sentences.TORCH_COLD),))
+    return OperatorDialogue(op.arms, first, (question_step(trim_sentences.TORCH_COLD),))
 
 
 def _powered(

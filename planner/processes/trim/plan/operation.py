@@ -14,7 +14,7 @@ from typing import Annotated, Final, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from planner.claims.sentences import fold
+from planner.claims.segments import fold
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, corners, transform
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, has_errors

@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import sentences
 from planner.claims.claim import Claim
 from planner.geometry.arrays import FloatArray, from_parts
 from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.problem import Setup
 from planner.processes.forming.plan.job import poses
+from planner.processes.trim import sentences as trim_sentences
 from planner.processes.trim.plan.claims import told
 from planner.processes.trim.plan.cutting import Cutting, Trimmer
 from planner.processes.trim.plan.operation import KnifeCut, MillCut, Trim
@@ -128,19 +128,19 @@ def _actions(
     """What the operator is told and asked, and the arc, or the spindle."""
     last, figures = len(route.segment) - 1, told(op, setup, mounted_tool)
     if isinstance(op.by, MillCut):
-        tell = Action(0, "message", sentences.TRIM_MILL.filled(**figures))
-        ask = Action(0, "confirm", sentences.TRIM_MILL_READY.filled())
-        asked = Action(last, "confirm", sentences.TRIM_MILL_STANDS.filled())
+        tell = Action(0, "message", trim_sentences.TRIM_MILL.filled(**figures))
+        ask = Action(0, "confirm", trim_sentences.TRIM_MILL_READY.filled())
+        asked = Action(last, "confirm", trim_sentences.TRIM_MILL_STANDS.filled())
         return tell, ask, *_switched(op, last, op.by.spin_up_s, op.by.spin_down_s), asked
     if isinstance(op.by, KnifeCut):
-        tell = Action(0, "message", sentences.TRIM_KNIFE.filled(**figures))
-        ask = Action(0, "confirm", sentences.TRIM_KNIFE_READY.filled())
-        asked = Action(last, "confirm", sentences.TRIM_KNIFE_DONE.filled())
+        tell = Action(0, "message", trim_sentences.TRIM_KNIFE.filled(**figures))
+        ask = Action(0, "confirm", trim_sentences.TRIM_KNIFE_READY.filled())
+        asked = Action(last, "confirm", trim_sentences.TRIM_KNIFE_DONE.filled())
         return tell, ask, *_switched(op, last, op.by.start_up_s, op.by.run_down_s), asked
     out = [
-        Action(0, "message", sentences.TORCH.filled(**figures)),
-        Action(0, "message", sentences.TORCH_STOPPED.filled()),
-        Action(0, "confirm", sentences.TORCH_READY.filled()),
+        Action(0, "message", trim_sentences.TORCH.filled(**figures)),
+        Action(0, "message", trim_sentences.TORCH_STOPPED.filled()),
+        Action(0, "confirm", trim_sentences.TORCH_READY.filled()),
     ]
     stay = stands(op, tool.kerf)
     for first, end in zip(route.pierce, route.end, strict=True):
@@ -150,7 +150,7 @@ def _actions(
         if op.pierce.seconds > 0.0:
             out.append(Action(first, "wait", seconds=op.pierce.seconds))
         out.append(Action(end, "off", signal=op.signal or ""))
-    return (*out, Action(last, "confirm", sentences.TORCH_COLD.filled()))
+    return (*out, Action(last, "confirm", trim_sentences.TORCH_COLD.filled()))
 
 
 def _switched(op: Trim, last: int, up: float, down: float) -> tuple[Action, ...]:

@@ -15,10 +15,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import Claim
-from planner.claims.sentences import DialogueStep, DialogueStop, OperatorDialogue, Segment
+from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue
+from planner.claims.drawn_curve import DrawnCurve
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
-from planner.processes.milling.claims import DrawnCurve
 from planner.processes.milling.proof.surface_passes import Laid
 from planner.processes.milling.proof.wanted_ways import NotThereError, curves_of, points
 from planner.processes.trim.claims import TrimOutline, TrimsSheet, slot_names

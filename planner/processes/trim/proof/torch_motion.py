@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.issues import Issue

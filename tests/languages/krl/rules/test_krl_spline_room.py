@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.claims.claim import FeedWindow
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import to_quaternion
 from planner.languages.krl.reader import spline_curve
 from planner.languages.krl.rules import spline

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.claims import sentences
 from planner.issues import TandemError
+from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.writer import syntax as krl_syntax
 from planner.languages.krl.writer.syntax import NAME_LENGTH, name
 from planner.languages.writing.layout import plain
@@ -82,9 +82,9 @@ def test_what_no_panel_can_show_is_refused(text, word):
 
 @pytest.mark.parametrize("arm", ["a", "n" * NAME_LENGTH])
 def test_texts_with_the_longest_names_fit(arm):
-    for form in (sentences.WAITING, sentences.TOGETHER, sentences.FOOT):
+    for form in (krl_sentences.WAITING, krl_sentences.TOGETHER, krl_sentences.FOOT):
         assert len(form.filled(arm=arm)) <= 80
-    assert len(texts(krl_syntax.during(sentences.TOGETHER.filled(arm=arm), ["x()"], "krc4"))) == 1
+    assert len(texts(krl_syntax.during(krl_sentences.TOGETHER.filled(arm=arm), ["x()"], "krc4"))) == 1
     assert all(len(line) <= 200 for line in krl_syntax.robroot_check(arm, "krc4"))
 
 

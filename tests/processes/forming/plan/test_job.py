@@ -15,7 +15,8 @@ from scipy.spatial import Delaunay
 
 from planner import pipeline
 from planner.claims.claim import Claim
-from planner.claims.sentences import OperatorDialogue, Segment
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.segments import Segment
 from planner.geometry.arrays import Mesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Severity, TandemError

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from planner.claims.claim import Claim
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.languages.writing import write as post
 from planner.motion import solve
 from planner.processes import registry

@@ -13,7 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims.sentences import Handshake, OperatorDialogue, Segment, Sentence, question_step
+from planner.claims.dialogue import OperatorDialogue, question_step
+from planner.claims.handshake import Handshake
+from planner.claims.segments import Segment
+from planner.claims.sentences import Sentence
 from planner.geometry.arrays import from_parts, from_rpy
 from planner.languages.writing import write
 from planner.plans import Plan

@@ -13,10 +13,10 @@ import yaml
 
 import planner
 from planner.catalogue import materials
-from planner.claims.claim import SlitsAllowed
 from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import resample
 from planner.issues import TandemError
+from planner.processes.hotwire.claims import SlitsAllowed
 from planner.processes.hotwire.plan import claims, wire
 from planner.processes.hotwire.plan.claims import claimed, nesting, rectangle_torsion, slot, stiffness
 from planner.processes.hotwire.plan.kerf import width as kerf_width

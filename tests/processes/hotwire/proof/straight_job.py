@@ -13,20 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims.claim import (
-    ContactOnlyIn,
-    CutsSurface,
-    FeedWindow,
-    FollowsRulings,
-    KerfCurve,
-    KerfWithin,
-    StraightWire,
-)
-from planner.claims.sentences import Segment
+from planner.claims.claim import ContactOnlyIn, FeedWindow
+from planner.claims.segments import Segment
 from planner.geometry.arrays import from_rpy
 from planner.languages.writing import write
 from planner.plans import Plan
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
 from planner.tooling import bow
 from tests import line_ends, urdf_text
 from tests.proof.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of

@@ -12,10 +12,10 @@ import pytest
 import shapely
 
 import planner
-from planner.claims.claim import FollowsRulings, KerfCurve
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.problem import Problem
 from planner.processes import registry
+from planner.processes.hotwire.claims import FollowsRulings, KerfCurve
 from planner.processes.hotwire.plan.straight import cut
 from planner.processes.hotwire.plan.straight.offset import Beside
 from planner.processes.hotwire.proof.cut_surface import unreached

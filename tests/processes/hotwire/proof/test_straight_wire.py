@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.claims.claim import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import tessellate
 from planner.problem import Stock
+from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
 from planner.processes.hotwire.proof.cut_surface import Sweep, cut_face, part_obj
 from planner.processes.hotwire.proof.rules.straight_wire import free_lengths, guide_normals, off_guide
 from planner.processes.hotwire.proof.wire_motion import depth_in

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.processes import registry
 from planner.processes.milling.plan.operation import Milling
 from planner.processes.milling.plan.tool_path import LEAST_PLUNGE, Run, lay_out, plain_path

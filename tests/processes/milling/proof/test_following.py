@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.processes.milling.claims import MillsAlong
 from planner.processes.milling.proof.following import Followed, follow

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.processes.milling.claims import MillsAlong
 from planner.processes.milling.plan.tool_path import parted
 from planner.processes.milling.proof.following import FEED_TOLERANCES, allowed, follow, highest, rows_to_check

@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from planner.claims.claim import ContactOnlyIn
-from planner.claims.sentences import OperatorDialogue
+from planner.claims.dialogue import OperatorDialogue
 from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.languages.writing import write

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import SparesPart
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.processes.milling.proof.rules.cutter import _GOUGE_SPACING, _held, _insides, _step, mill_gouge
 from planner.processes.milling.proof.tool_motion import BEND_SHARE, Milling, Track, insides, signed, solids
 from planner.runtime.executor import SERIAL

@@ -14,7 +14,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import Claim
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.mesh import TriangleMesh, corner_normals
 from planner.issues import Issue

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue
 from planner.processes.forming.claims import (

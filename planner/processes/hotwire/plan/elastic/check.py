@@ -15,12 +15,12 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.claim import KerfCurve
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IndexArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.elastic.family import FamilyFit, SectionSet
 from planner.processes.hotwire.plan.elastic.path import Face, Route, box_distance
 from planner.processes.hotwire.plan.elastic.sweep import leaning

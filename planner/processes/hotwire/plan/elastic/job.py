@@ -18,14 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from planner.claims import sentences
-from planner.claims.claim import Claim, KerfCurve
-from planner.claims.sentences import Segment
+from planner.claims.claim import Claim
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Mesh, from_parts
 from planner.geometry.mesh import TriangleMesh, offset
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup, Stock
+from planner.processes.hotwire import sentences as hotwire_sentences
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan import claims
 from planner.processes.hotwire.plan import wire as wires
 from planner.processes.hotwire.plan.elastic import check as checks
@@ -552,18 +553,18 @@ def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
     chord, angles = mount_figures(route)
     last = len(route.segment) - 1
     return (
-        Action(0, "message", sentences.WIRE.filled(material=op.chosen.material, size=op.chosen.size)),
-        Action(0, "message", sentences.MOUNT.filled(cold_mm=wire.cold_length(op.chosen.length_mm))),
+        Action(0, "message", hotwire_sentences.WIRE.filled(material=op.chosen.material, size=op.chosen.size)),
+        Action(0, "message", hotwire_sentences.MOUNT.filled(cold_mm=wire.cold_length(op.chosen.length_mm))),
         Action(
             0,
             "message",
-            sentences.CLAMPS.filled(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
+            hotwire_sentences.CLAMPS.filled(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
         ),
-        Action(0, "confirm", sentences.CLAMPED.filled()),
+        Action(0, "confirm", hotwire_sentences.CLAMPED.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
-        Action(0, "confirm", sentences.LOCKED.filled(hot_mm=op.chosen.length_mm)),
+        Action(0, "confirm", hotwire_sentences.LOCKED.filled(hot_mm=op.chosen.length_mm)),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", sentences.TAKEN_OFF.filled()),
+        Action(last, "confirm", hotwire_sentences.TAKEN_OFF.filled()),
     )

@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, from_parts, interpolate, inverse
 from planner.processes.hotwire.plan.elastic.family import Family, Spine
 from planner.processes.hotwire.plan.elastica import heavy

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.catalogue import materials
 from planner.catalogue.materials import Foam
-from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.kerf import models, test_cuts
 from planner.processes.hotwire.plan.kerf.models import refuse_melting
 from planner.processes.hotwire.plan.kerf.test_cuts import TEST_WIRE, HotWire

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Ruled, Shape, corners, inverse, transform
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity

@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled
 from planner.geometry.rulings import outward_sides, resample
 from planner.geometry.units import MM
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.operation import Straight, SurfaceCut, TrimCut
 from planner.processes.hotwire.plan.straight.offset import VERTEX_TURN, Beside, Row, followed, make_row
 from planner.processes.hotwire.plan.straight.order import Lines, Wanted, exit_length, fastest, grown, join

@@ -19,11 +19,12 @@ from typing import Any, Final
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from planner.claims.claim import Claim, KerfCurve
+from planner.claims.claim import Claim
 from planner.geometry.arrays import FloatArray, IndexArray, from_parts, inverse
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup, Stock
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan import claims
 from planner.processes.hotwire.plan.kerf.models import most_power
 from planner.processes.hotwire.plan.kerf.test_cuts import HotWire

@@ -24,9 +24,9 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled
 from planner.geometry.rulings import outward_sides
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.straight.order import (
     Lines,
     chord,

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import shapely
 
-from planner.claims.sentences import Segment, clash
+from planner.claims.segments import Segment, clash
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled, dots
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError

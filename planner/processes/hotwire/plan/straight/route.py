@@ -18,12 +18,12 @@ from typing import Final
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from planner.claims import sentences
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity
 from planner.problem import Setup
+from planner.processes.hotwire import sentences as hotwire_sentences
 from planner.processes.hotwire.plan.operation import AIR_STEP, RESTING_COSINE, Straight
 from planner.processes.hotwire.plan.straight.cut import Cut
 from planner.processes.hotwire.plan.straight.order import Lines, grown, join
@@ -260,15 +260,17 @@ def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route)
     """The operator's steps and the wire's power, by target."""
     diameter, material = 2.0 * bow.radius / MM, f" {op.wire_material}".rstrip()
     if op.power_w is not None:
-        mounted = sentences.BOW_POWER.filled(diameter_mm=diameter, material=material, power_w=op.power_w)
+        mounted = hotwire_sentences.BOW_POWER.filled(
+            diameter_mm=diameter, material=material, power_w=op.power_w
+        )
     else:
-        mounted = sentences.BOW_SLOT.filled(
+        mounted = hotwire_sentences.BOW_SLOT.filled(
             diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0
         )
     last = len(route.segment) - 1
     out = [
         Action(0, "message", mounted),
-        Action(0, "confirm", sentences.TAUT.filled()),
+        Action(0, "confirm", hotwire_sentences.TAUT.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
     ]
@@ -279,7 +281,7 @@ def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route)
         *out,
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", sentences.COLD.filled()),
+        Action(last, "confirm", hotwire_sentences.COLD.filled()),
     )
 
 
@@ -318,8 +320,8 @@ def _spacers(op: Straight, at: int, kerf: float) -> list[Action]:
     return [
         Action(at, "off", signal=op.signal),
         Action(at, "wait", seconds=op.cool_down_s),
-        Action(at, "message", sentences.SPACERS.filled(kerf_mm=kerf / MM)),
-        Action(at, "confirm", sentences.SPACED.filled()),
+        Action(at, "message", hotwire_sentences.SPACERS.filled(kerf_mm=kerf / MM)),
+        Action(at, "confirm", hotwire_sentences.SPACED.filled()),
         Action(at, "on", signal=op.signal),
         Action(at, "wait", seconds=op.heat_up_s),
     ]

@@ -15,10 +15,10 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.operation import Straight
 from planner.processes.hotwire.plan.straight.cut import Cut
 from planner.processes.hotwire.plan.straight.offset import (

@@ -10,10 +10,11 @@ import dataclasses
 
 import numpy as np
 
-from planner.claims.claim import CutsSurface, FeedWindow, SlitsAllowed
-from planner.claims.sentences import Segment
+from planner.claims.claim import FeedWindow
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.issues import Issue
+from planner.processes.hotwire.claims import CutsSurface, SlitsAllowed
 from planner.processes.hotwire.proof.cut_surface import Sweep, cut_face, deepest, part_obj, unreached
 from planner.processes.hotwire.proof.rules.wire import wire_issue
 from planner.processes.hotwire.proof.slits import in_slit, slits

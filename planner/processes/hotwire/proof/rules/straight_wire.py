@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.claims.claim import FollowsRulings, KerfWithin, LeadsFrom, SlitsAllowed, StraightWire
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse
 from planner.issues import Issue
 from planner.problem import Stock
+from planner.processes.hotwire.claims import FollowsRulings, KerfWithin, LeadsFrom, SlitsAllowed, StraightWire
 from planner.processes.hotwire.proof.cut_surface import unreached
 from planner.processes.hotwire.proof.rules.wire import wire_issue
 from planner.processes.hotwire.proof.slits import SLIT_ROUNDING, Slit, off_lead, slits, way_in

@@ -10,11 +10,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.claims.claim import ContactOnlyIn, FeedWindow, WireJoins
+from planner.claims.claim import ContactOnlyIn, FeedWindow
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue
 from planner.languages.trajectories.rules import trajectories
 from planner.processes.forming.claims import SinksHolder
+from planner.processes.hotwire.claims import WireJoins
 from planner.processes.hotwire.proof.wire_motion import Wire, end_distances
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.job import TaskText, controllers

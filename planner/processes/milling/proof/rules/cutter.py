@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 
 from planner.claims.claim import ContactOnlyIn, FeedWindow
-from planner.claims.sentences import Phase, Segment
+from planner.claims.segments import Phase, Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
 from planner.processes.hotwire.proof.cut_surface import divided

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.claim import FollowsPoses, FollowsTable, FreeAxis
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
+from planner.processes.poses.claims import FollowsPoses, FollowsTable, FreeAxis
 from planner.processes.poses.proof import pose_passing
 from planner.processes.poses.proof.pose_passing import Passing, PoseTable, Way, passing, slow_places, values
 from planner.proof.context import FEED_SLACK, Context, Outcome, mm, rule

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.issues import Issue
 from planner.processes.trim.claims import TrimBlade, TrimsSheet
 from planner.processes.trim.proof.blade_motion import blade_way

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, IntArray
 from planner.geometry.swept_body import least_distances, places_near
 from planner.issues import Issue

@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
 from planner.processes.trim.claims import TrimBlade, TrimsSheet, slot_names

@@ -8,7 +8,7 @@ import functools
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.processes.forming.claims import FollowsOpposite, SupportsBorder, ToolsLean
 from planner.proof.prove import Prover
 from tests.languages.rapid.rapid_edits import moves, name, segment, shifted, tilted, timed

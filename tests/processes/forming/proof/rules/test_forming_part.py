@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.processes import registry
 from planner.processes.forming.claims import FormsPart

@@ -10,9 +10,11 @@ import trimesh
 from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
-from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
-from planner.claims.sentences import OperatorDialogue, Segment
+from planner.claims.claim import ContactOnlyIn, FeedWindow
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.segments import Segment
 from planner.geometry.arrays import Mesh, interpolate, inverse
+from planner.processes.hotwire.claims import CutsSurface, WireJoins
 from planner.processes.hotwire.plan.elastic import job
 from planner.processes.hotwire.plan.elastic.path import Wires, driven
 from planner.targets import ScrewFreedom, TableFreedom, Targets

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from planner.catalogue.materials import foam
-from planner.claims.claim import CutsSurface, KerfWithin
 from planner.issues import TandemError
+from planner.processes.hotwire.claims import CutsSurface, KerfWithin
 from planner.processes.hotwire.plan.elastic import job as elastic_job
 from planner.processes.hotwire.plan.kerf.width import HotWire, curve
 from planner.processes.hotwire.proof.cut_surface import Sweep, distance_to_sweep, sample_face

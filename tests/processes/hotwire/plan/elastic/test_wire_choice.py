@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.claims.claim import OneOf, WireJoins
+from planner.claims.claim import OneOf
 from planner.geometry.arrays import Mesh
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup
+from planner.processes.hotwire.claims import WireJoins
 from planner.processes.hotwire.plan.elastic.job import ElasticJob
 from planner.reading import materials
 from planner.reading.materials import WireFile, WiresFile

@@ -8,19 +8,13 @@ import numpy as np
 import pytest
 
 from planner.catalogue.materials import foams
-from planner.claims.claim import (
-    ContactOnlyIn,
-    CutsSurface,
-    FeedWindow,
-    FollowsRulings,
-    HoldsStock,
-    KerfWithin,
-    StraightWire,
-)
-from planner.claims.sentences import OperatorDialogue, Segment
+from planner.claims.claim import ContactOnlyIn, FeedWindow, HoldsStock
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.segments import Segment
 from planner.geometry.arrays import Ruled, Shape, exp_twist, from_rpy, interpolate, inverse, transform
 from planner.issues import Severity
 from planner.problem import Part, Stock
+from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, StraightWire
 from planner.processes.hotwire.plan.straight import job
 from planner.processes.hotwire.plan.straight.order import distance_to_polyline
 from planner.processes.registry import PROCESSES

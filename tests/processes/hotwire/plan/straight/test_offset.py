@@ -7,9 +7,9 @@ import pytest
 import shapely
 from scipy.optimize import brentq
 
-from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import resample
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.straight.offset import Beside, beside, end_speeds, make_row
 from planner.processes.hotwire.plan.straight.order import (
     Lines,

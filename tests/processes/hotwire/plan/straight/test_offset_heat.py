@@ -10,12 +10,12 @@ import pytest
 from scipy.optimize import root
 
 from planner.catalogue.materials import ROOM_TEMPERATURE, foams
-from planner.claims.claim import KerfCurve
 from planner.geometry.arrays import Ruled
 from planner.geometry.matching import Match
 from planner.geometry.rulings import resample
 from planner.geometry.wing import Panel, naca, wing_surface
 from planner.issues import Issue, TandemError
+from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.kerf import width as kerf_width
 from planner.processes.hotwire.plan.straight import job as straight_job
 from planner.processes.hotwire.plan.straight.offset import beside, end_speeds, make_row

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import planner
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.motion.trajectory.joint_path import Dense, guarded
 from tests.processes.hotwire.plan import foam_blocks as blocks
 

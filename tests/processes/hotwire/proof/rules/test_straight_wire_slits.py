@@ -13,11 +13,11 @@ import pytest
 import yaml
 
 import planner
-from planner.claims.claim import CutsSurface
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
 from planner.processes import registry
+from planner.processes.hotwire.claims import CutsSurface
 from planner.processes.hotwire.plan.straight import cut as straight_cut
 from planner.processes.hotwire.plan.straight import job
 from planner.processes.hotwire.plan.straight.cut import Cut

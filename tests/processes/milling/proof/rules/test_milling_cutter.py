@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.claims.sentences import Segment
+from planner.claims.segments import Segment
 from planner.processes.milling.proof.tool_motion import signed, solids, sweep
 from planner.tooling import Cutter
 from tests.processes.milling.plan.small_mill import BALL, PANEL, WALL
