@@ -319,6 +319,7 @@ def run_features(request: Features) -> tuple[Issue, ...]:
     from planner.catalogue.robots import bundled
     from planner.geometry.arrays import Mesh
     from planner.geometry.mesh_files import read_mesh
+    from planner.processes.forming import feature_page
     from planner.processes.forming.plan.features import tree as feature_tree
     from planner.processes.forming.plan.features.tree import LEAST_BUMP, build
     from planner.reading.sheet import smooth_face
@@ -349,7 +350,7 @@ def run_features(request: Features) -> tuple[Issue, ...]:
         elif kind == ".svg":
             drawn = feature_tree.alone(tree)
         else:
-            drawn = feature_tree.drawing_page(tree, f"Features of {request.part.name}")
+            drawn = feature_page.drawing_page(tree, f"Features of {request.part.name}")
         write_output(request.output, drawn, "written to" if kind == ".json" else "drawn in")
     return (*face.notes, *tree.issues)
 

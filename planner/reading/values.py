@@ -25,7 +25,6 @@ from planner.files import FILE_KEYS, write_whole
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
-from planner.processes.poses.plan import job as pose_table
 from planner.reading.strict_yaml import MAX_DEPTH
 
 SQUARE: Final = 1e-6
@@ -191,10 +190,10 @@ def pose_file(poses: Mapping[str, Any], unit: str | None, columns: Mapping[str, 
     for arm, given in poses.items():
         pose = rigid_poses(given, unit, f"Targets.poses.{arm}", (-1, 4, 4))
         numbers = np.concatenate([pose[:, :3, 3] / MM, to_quaternion(pose[:, :3, :3])], axis=1)
-        table |= {f"{arm}.{name}": numbers[:, i].tolist() for i, name in enumerate(pose_table.POSE_COLUMNS)}
+        table |= {f"{arm}.{name}": numbers[:, i].tolist() for i, name in enumerate(POSE_COLUMNS)}
     for name, given in columns.items():
-        if name not in pose_table.ROW_COLUMNS:
-            raise _fault("Targets.columns", f"got {name!r}, known are {', '.join(pose_table.ROW_COLUMNS)}")
+        if name not in ROW_COLUMNS:
+            raise _fault("Targets.columns", f"got {name!r}, known are {', '.join(ROW_COLUMNS)}")
         own = plain(given, f"Targets.columns.{name}")
         table[name] = own if isinstance(own, list) else [own]
     counts = {name: len(column) for name, column in table.items()}
@@ -228,3 +227,11 @@ def _stored(text: str, suffix: str) -> str:
     path = _folder() / f"{name}{suffix}"
     write_whole(path, text)
     return str(path)
+
+
+POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+"""Columns of an arm's pose: position [mm] and unit quaternion."""
+
+
+ROW_COLUMNS = ("feed_mm_s", "feed_min_mm_s", "segment", "stop")
+"""Columns that a row may have besides."""

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, dots
+from planner.geometry.face_places import CREASE_ANGLE
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals
 from planner.geometry.swept_body import RoundBody, count_near, least_distances, places_near
 from planner.geometry.units import MM
 from planner.issues import Issue
-from planner.processes.milling.plan.cutter_contact import CREASE_ANGLE
 from planner.processes.milling.plan.operation import FlankCut
 from planner.processes.milling.plan.process_plan import Done, Face, Work
 from planner.processes.milling.plan.tool_path import Run

@@ -12,13 +12,14 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, Ruled, unit
+from planner.geometry.polylines import thinned
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity, TandemError, has_errors
 from planner.problem import Part
 from planner.processes.milling.plan import cutter_contact
 from planner.processes.milling.plan.cutter_contact import Strip, strips
 from planner.processes.milling.plan.operation import FlankCut, Milling
-from planner.processes.milling.plan.tool_path import Run, plain_path, thinned
+from planner.processes.milling.plan.tool_path import Run, plain_path
 from planner.tooling import Cutter
 
 CORNER_STEP: Final = np.deg2rad(5.0)

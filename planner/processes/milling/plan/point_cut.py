@@ -15,11 +15,13 @@ import numpy as np
 import shapely
 
 from planner.geometry.arrays import FloatArray, dots, unit
+from planner.geometry.face_places import Over, Places
+from planner.geometry.polylines import thinned
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.processes.milling.plan.cutter_contact import Over, Places, within
+from planner.processes.milling.plan.cutter_contact import within
 from planner.processes.milling.plan.operation import EngraveCut, LinesCut, Milling
-from planner.processes.milling.plan.tool_path import Run, plain_path, thinned
+from planner.processes.milling.plan.tool_path import Run, plain_path
 from planner.reading.part_ruled import guide
 from planner.tooling import Cutter
 

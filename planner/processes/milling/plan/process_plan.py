@@ -16,6 +16,8 @@ import numpy as np
 
 from planner.claims.segments import clash
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh
+from planner.geometry.face_places import Over
+from planner.geometry.polylines import sharp, thinned
 from planner.geometry.rulings import tessellate
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -23,7 +25,6 @@ from planner.problem import Part, Setup
 from planner.processes.milling import sentences as milling_sentences
 from planner.processes.milling.plan import cutter_contact as milling_face
 from planner.processes.milling.plan import flank_cut, point_cut
-from planner.processes.milling.plan.cutter_contact import Over
 from planner.processes.milling.plan.gcode import reader
 from planner.processes.milling.plan.gcode.moves import Event
 from planner.processes.milling.plan.operation import (
@@ -34,7 +35,7 @@ from planner.processes.milling.plan.operation import (
     Milling,
     cut_name,
 )
-from planner.processes.milling.plan.tool_path import Run, ToolPath, filled, parted, sharp, thinned
+from planner.processes.milling.plan.tool_path import Run, ToolPath, filled, parted
 from planner.tooling import Cutter, Mill
 
 AXIS_LEVER: Final = 0.05

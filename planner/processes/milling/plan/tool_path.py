@@ -18,6 +18,7 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.polylines import sharp
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.processes.milling.plan.operation import Milling, SafeSide
@@ -113,24 +114,6 @@ LONGEST_AXIS_TURN: Final = 6.0 * DEG
 turn, by a quarter where moves are half as long."""
 
 
-def thinned(points: FloatArray, chord: float, step: float) -> IntArray:
-    """Rows (K,) of ``points`` (N, P, 3) [m], P points of a tool, such that moves between them that are
-    straight for each point leave no row by more than ``chord`` [m], nor go farther than ``step`` [m] where
-    rows are nearer than that; both ends are kept."""
-    count = len(points)
-    way = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1, initial=0.0)
-    along = np.concatenate([[0.0], np.cumsum(way)])
-    kept = [0]
-    while kept[-1] < count - 1:
-        start = kept[-1]
-        far = int(np.searchsorted(along, along[start] + step * (1.0 + 1e-9), side="right")) - 1
-        stop = min(max(far, start + 1), count - 1)
-        while stop > start + 1 and _off(points[start : stop + 1], along[start : stop + 1]) > chord:
-            stop = start + max((stop - start) * 3 // 4, 1)
-        kept.append(stop)
-    return np.array(kept, dtype=np.int64)
-
-
 def filled(tip: FloatArray, axis: FloatArray, step: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """Tips and axes (M, 3) with evenly laid places between those of ``tip``, ``axis`` (N, 3) that are farther
     apart than ``step`` [m] or :data:`LONGEST_AXIS_TURN`, and the row (M,) that each of them leads to. Axes
@@ -182,16 +165,6 @@ def _placed(
     return np.append(0, to), np.concatenate([tip[:1], tips]), np.concatenate([axis[:1], axes])
 
 
-def _off(rows: FloatArray, along: FloatArray) -> float:
-    """How far [m] rows (K, P, 3) are off the straight move from the first to the last of them, on which all
-    points of the tool are as far on their ways at a time."""
-    start, way = rows[0], rows[-1] - rows[0]
-    rest = rows - start
-    square = max(float((way * way).sum()), 1e-18)
-    share = np.clip((rest * way).sum(axis=(1, 2)) / square, 0.0, 1.0)
-    return float(np.linalg.norm(rest - share[:, None, None] * way, axis=2).max())
-
-
 BLOCK_SIDES: Final[dict[SafeSide, tuple[int, int]]] = {
     "left": (0, 0),
     "right": (0, 1),
@@ -205,10 +178,6 @@ LEAST_RISE: Final = 15.0 * DEG
 LEAST_PLUNGE: Final = 2.0 * MM
 """Least way [m] down to a pass and up from it, where the pass begins or ends on the safe plane or beyond
 it."""
-SHARP_TURN: Final = 31.0 * DEG
-"""The tool stops where its way turns by more than this [rad]."""
-LEAST_MOVE: Final = 1e-6
-"""Moves that are shorter than this [m] have no direction."""
 RUN_TARGETS: Final = 2000
 """The tool stops at this many targets of a pass at least, where its way turns most, so that programs can be
 split there."""
@@ -317,20 +286,4 @@ def _stops(tip: FloatArray) -> BoolArray:
     for first in range(RUN_TARGETS, len(tip) - RUN_TARGETS // 2, RUN_TARGETS):
         if not out[first - RUN_TARGETS // 2 : first + RUN_TARGETS // 2].any():
             out[first] = True
-    return out
-
-
-def sharp(tip: FloatArray) -> BoolArray:
-    """(N,) where a tool stops whatever its job: at both ends, at sharp corners, at turns in place."""
-    out = np.zeros(len(tip), dtype=bool)
-    out[[0, -1]] = True
-    step = np.diff(tip, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    long = np.flatnonzero(length > LEAST_MOVE)
-    if len(long) > 1:
-        way = step[long] / length[long, None]
-        cosine = dots(way[1:], way[:-1])
-        out[long[1:][cosine < np.cos(SHARP_TURN)]] = True
-    moving = length > LEAST_MOVE
-    out[1:-1] |= moving[1:] != moving[:-1]  # before and after turns in place
     return out

@@ -24,14 +24,11 @@ from planner.issues import Issue, TandemError
 from planner.problem import Stock
 from planner.processes.poses import claims
 from planner.reading.strict_yaml import Name, Strict
+from planner.reading.values import POSE_COLUMNS, ROW_COLUMNS
 from planner.targets import Job, ScrewFreedom, Targets
 
 MAX_TABLE_BYTES = 100_000_000
 """Tables of poses larger than this [bytes] are refused unread."""
-POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-"""Columns of an arm's pose: position [mm] and unit quaternion."""
-ROW_COLUMNS = ("feed_mm_s", "feed_min_mm_s", "segment", "stop")
-"""Columns that a row may have besides."""
 FARTHEST_MM = 100_000.0
 """Positions farther out [mm] are refused: metres or micrometres were meant."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 10_000.0

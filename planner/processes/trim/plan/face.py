@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots, unit
+from planner.geometry.face_places import Over
 from planner.geometry.units import MM
-from planner.processes.milling.plan.cutter_contact import Over
 
 CURVE_SPACING: Final = 0.4 * MM
 """Distance [m] of the places at which a curve is laid on the face."""

@@ -13,10 +13,10 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, corners, transform
+from planner.geometry.polylines import sharp, thinned
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, has_errors
 from planner.problem import Setup
-from planner.processes.milling.plan.tool_path import sharp, thinned
 from planner.processes.trim.plan import check
 from planner.processes.trim.plan.cutting import Cutting
 from planner.processes.trim.plan.face import Face, Laid, apart

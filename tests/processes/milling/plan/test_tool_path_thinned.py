@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from planner.processes.milling.plan.tool_path import thinned
+from planner.geometry.polylines import thinned
 
 CHORD, LEVER = 2e-5, 0.05
 

@@ -13,7 +13,8 @@ from pydantic import ValidationError
 
 from planner.issues import TandemError
 from planner.problem import Cell, Controller, Setup, Stock
-from planner.processes.poses.plan.job import POSE_COLUMNS, Posed, PosedJob
+from planner.processes.poses.plan.job import Posed, PosedJob
+from planner.reading.values import POSE_COLUMNS
 
 SETUP = Setup(
     1, Cell("none", (), (), Controller()), Stock(np.array([0.1, 0.1, 0.1]), np.eye(4), np.eye(3)), (0,)
