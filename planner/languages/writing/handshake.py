@@ -32,7 +32,6 @@ from planner.claims.handshake import Handshake, SignalWire
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, Severity
 from planner.languages.krl import sentences as krl_sentences
-from planner.languages.rapid.writer.syntax import identifier
 from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.writing.layout import (
     TIME_DECIMALS,
@@ -45,7 +44,7 @@ from planner.languages.writing.layout import (
     TaskProgram,
 )
 from planner.plans import Plan
-from planner.problem import Controller, Problem, Setup
+from planner.problem import Problem, Setup
 from planner.targets import Targets
 
 _MULTIMOVE_HINT = "use one MultiMove controller for both arms (sync: multimove)"
@@ -262,10 +261,6 @@ PARTNER_STANDS: Final = "The program of arm {other} does not run: {input} is 0."
 """Shown while a program waits for the other one to run."""
 PARTNER_RUNS: Final = "Stop the program of arm {other}: {input} is 1. If it stands, the wire is stuck."
 """Shown while a program waits for the other one to stop."""
-KRL_PARTNER_SEEN: Final = "TANDEM_SEEN"
-"""The variable of a KUKA controller that says that both programs have run since the last stop."""
-KRL_RUNS: Final = "$PRO_ACT AND $PERI_RDY"
-"""That a program runs with the drives on."""
 
 BEGIN_ANEW: Final = "PP to main in all tasks (ABB), or a reset (KUKA)"
 """How a program begins anew."""
@@ -291,81 +286,9 @@ def burned_anew(lit: Mapping[str, Sequence[str]], arm: str) -> str:
     return out
 
 
-ConfigurationRow = Mapping[str, str | None]
-"""An instance of a type of ABB's configuration: values by attribute, None for one without a value."""
-
-
 def running_wires(wires: Sequence[SignalWire], arm: str) -> tuple[SignalWire, SignalWire]:
     """The running wire that leaves an arm's controller, and the one that comes in."""
     return next(w for w in wires if w.source == arm), next(w for w in wires if w.sink == arm)
-
-
-def rapid_power_term(controller: Controller, arm: str) -> str:
-    """The further AND term of the power of an ABB arm's controller: the input from the other one."""
-    return identifier(controller.handshake.of(arm).partner_running)
-
-
-def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[ConfigurationRow]]:
-    """Rows of EIO.cfg by type, for the controller of an ABB arm; the outputs of the system that say that a
-    program runs and motors are on are declared beside them.
-
-    Seen in backups of real cells: SYSSIG_OUT of CycleOn into EIO_CROSS. From public tools that write such
-    files: -Act1_invert, SYSSIG_IN. From memory: the action Stop, and that it acts on the rising edge.
-    """
-    own, lock = controller.handshake.of(arm), controller.interlock
-    running, given, lost = identifier(own.running), identifier(own.partner_running), identifier(own.lost)
-    out, into = (placed(controller, [arm], name) for name in (own.running, own.partner_running))
-    return {
-        "EIO_SIGNAL": [
-            {"Name": running, "SignalType": "DO", **out, "Access": "ReadOnly"},
-            {"Name": given, "SignalType": "DI", **into},
-            {"Name": lost, "SignalType": "DI"},
-        ],
-        "SYSSIG_IN": [{"Signal": lost, "Action": "Stop"}],
-        "EIO_CROSS": [
-            {
-                "Name": "TandemRunning",
-                "Res": running,
-                "Act1": identifier(lock.cycle),
-                "Oper1": "AND",
-                "Act2": identifier(lock.motors),
-            },
-            {"Name": "TandemPartner", "Res": lost, "Act1": given, "Act1_invert": None},
-        ],
-    }
-
-
-def placed(controller: Controller, arms: Sequence[str], signal: str) -> dict[str, str]:
-    """Device and bit of a signal at the controller of these arms; none where the cell states none."""
-    places = (controller.interlock.place(arm, signal) for arm in arms)
-    place = next((place for place in places if place is not None), None)
-    return {"Device": place.device, "DeviceMap": str(place.bit)} if place else {}
-
-
-def krl_power_term(controller: Controller, arm: str) -> str:
-    """The further AND term of the power of a KUKA arm's controller."""
-    return f"$IN[{controller.number(arm, controller.handshake.of(arm).partner_running)}]"
-
-
-def krl_submit_lines(controller: Controller, arm: str) -> list[str]:
-    """Lines for the cycle of the submit interpreter of a KUKA arm's controller.
-
-    $MOVE_ENABLE looks at the level of its input and holds a start up too, so a controller whose partner has
-    not run yet would never start: the wire counts from the first time on that both are seen to run.
-    """
-    own = controller.handshake.of(arm)
-    out, enable = controller.number(arm, own.running), controller.number(arm, own.move_enable)
-    given = krl_power_term(controller, arm)
-    return [
-        f"$OUT[{out}]={KRL_RUNS} ; {own.running}",
-        "IF NOT $PRO_ACT THEN",
-        f"{KRL_PARTNER_SEEN}=FALSE",
-        "ENDIF",
-        f"IF $PRO_ACT AND {given} THEN ; {own.partner_running}",
-        f"{KRL_PARTNER_SEEN}=TRUE",
-        "ENDIF",
-        f"$OUT[{enable}]={given} OR NOT {KRL_PARTNER_SEEN} ; {own.move_enable}",
-    ]
 
 
 @dataclasses.dataclass(frozen=True)

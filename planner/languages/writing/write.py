@@ -23,13 +23,14 @@ from planner.languages.krl.writer import program as krl_program
 from planner.languages.krl.writer import spline_blocks
 from planner.languages.rapid.writer import controller_files as rapid_files
 from planner.languages.rapid.writer import program as rapid_program
-from planner.languages.rapid.writer.syntax import alike, procedure
+from planner.languages.rapid.writer.syntax import procedure
 from planner.languages.trajectories.writer import program as trajectories
-from planner.languages.trajectories.writer import rows as trajectory_rows
+from planner.languages.trajectories.writer.refusals import trajectory_refusals
 from planner.languages.urscript.writer import program as ur_program
 from planner.languages.writing import handshake
 from planner.languages.writing.handshake import handshake_refusals
 from planner.languages.writing.layout import LINE_END, Do, Job, TaskProgram, no_input
+from planner.languages.writing.names import alike
 from planner.languages.writing.steps import build
 from planner.plans import Plan
 from planner.problem import Arm, Problem, lights_torch, torch_signals
@@ -152,34 +153,6 @@ def speaks_trajectories(arm: Arm) -> bool:
     return arm.data.family == "ROS"
 
 
-def _trajectory_refusals(problem: Problem, arms: Sequence[Arm]) -> list[Issue]:
-    """Why arms that trajectories drive cannot do a job: names of joints that two arms share, torches, tracks
-    and what turns the block."""
-    issues = []
-    seen: dict[str, str] = {}
-    for arm in arms:
-        for joint in trajectories.joint_names(arm, problem.cell.controller):
-            other = seen.setdefault(joint, arm.name)
-            if other != arm.name:
-                got = f"arms {other} and {arm.name} both have a joint {joint}, and one controller moves both"
-                hint = (
-                    f"controller: {{joint_prefix: {{{other}: {other}_, {arm.name}: {arm.name}_}}}}, as the "
-                )
-                hint += "controller's configuration calls them"
-                field = "controller.joint_prefix"
-                issues.append(Issue("post.name", got, field=field, arm=arm.name, hint=hint))
-                break
-            if trajectory_rows.NAME.fullmatch(joint) is None:
-                got = f"{joint!r}, a joint of arm {arm.name}, cannot be named in a file of trajectories; "
-                got += "allowed: a letter, then letters, digits and _ / . -, 100 at most"
-                hint = "rename it in the URDF, or set a letter before it (controller: joint_prefix), and the "
-                hint += "same at the controller"
-                issues.append(Issue("post.name", got, arm=arm.name, hint=hint))
-    lit = [operation for operation in problem.operations if lights_torch(operation)]
-    issues += [trajectories.no_torch(lit[0].arms[0])] if lit else []
-    return issues
-
-
 def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
     """Why the controllers of this cell cannot do this job, however it is planned: arms of KUKA or UR on a
     controller for both (``post.controller``), arms of UR that are none (``post.ur_arm``) or hold the block
@@ -189,7 +162,7 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     if unspoken := _unspoken(arms):
         return tuple(unspoken)
     if any(map(speaks_trajectories, arms)):
-        return tuple(_trajectory_refusals(problem, arms))
+        return tuple(trajectory_refusals(problem, arms))
     together = len(arms) > 1
     abb = all(arm.data.family == "ABB" for arm in arms)
     if together and not abb and problem.cell.controller.sync != "handshake":

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.claims.handshake import SignalWire
 from planner.issues import Issue, Severity
-from planner.languages.krl.writer import spline_blocks
+from planner.languages.krl.writer import running_wire, spline_blocks
 from planner.languages.krl.writer.data import Data, near_zero
 from planner.languages.writing import handshake
 from planner.languages.writing.layout import Job, TaskProgram
@@ -36,11 +36,11 @@ def files(
 ) -> dict[str, str]:
     """The files, by name, for the controller of ``arm`` whose program switches ``signals``; ``wires``: the
     running wires between it and another controller; ``torches``: those signals that light one."""
-    runs = handshake.KRL_RUNS + (f" AND {handshake.krl_power_term(controller, arm)}" if wires else "")
+    runs = running_wire.KRL_RUNS + (f" AND {running_wire.krl_power_term(controller, arm)}" if wires else "")
     numbers = {signal: controller.number(arm, signal) for signal in signals}
     flags = {signal: TORCH_FLAG if signal in torches else POWER_FLAG for signal in signals}
     taken = [line for signal, number in numbers.items() for line in _taken(number, flags[signal])]
-    submit = handshake.krl_submit_lines(controller, arm) if wires else []
+    submit = running_wire.krl_submit_lines(controller, arm) if wires else []
     submit += [f"IF NOT ({runs}) THEN", *taken, "ENDIF"] if taken else []
     submit += _ended([numbers[signal] for signal in torches]) if torches else []
     for signal, number in numbers.items():
@@ -49,7 +49,7 @@ def files(
             submit.append(f"$OUT[{real}]=$OUT[{number}] AND {runs}")
     kept = [flag for flag in (POWER_FLAG, TORCH_FLAG) if flag in flags.values()]
     submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"] if POWER_FLAG in kept else []
-    variables = kept + ([handshake.KRL_PARTNER_SEEN] if wires else [])
+    variables = kept + ([running_wire.KRL_PARTNER_SEEN] if wires else [])
     out = {
         "config_user.dat": _text([f"DECL BOOL {name}=FALSE" for name in variables]),
         "sps_user.sub": _text(submit),

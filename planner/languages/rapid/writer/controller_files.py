@@ -14,9 +14,10 @@ from typing import Final, Literal
 from planner.claims import sentences
 from planner.claims.handshake import SignalWire
 from planner.languages.rapid import sentences as rapid_sentences
+from planner.languages.rapid.writer import running_wire
+from planner.languages.rapid.writer.running_wire import ConfigurationRow
 from planner.languages.rapid.writer.syntax import identifier, quoted
 from planner.languages.writing import handshake
-from planner.languages.writing.handshake import ConfigurationRow
 from planner.problem import Controller
 
 POWER_MODULE: Final = "TandemPower"
@@ -53,7 +54,7 @@ def files(
     suffix = ".sys" if controller.robotware == 6 else ".sysx"
     more = {identifier(name): kind for name, kind in others.items()}
     named: list[ConfigurationRow] = [
-        {"Name": name, "SignalType": kind, **handshake.placed(controller, arms, name)}
+        {"Name": name, "SignalType": kind, **running_wire.placed(controller, arms, name)}
         for name, kind in more.items()
     ]
     out = {"EIO.cfg": _eio(controller, requests, lit, arm, bool(wires), named)}
@@ -72,8 +73,8 @@ def _eio(
     named: Sequence[ConfigurationRow],
 ) -> str:
     lock = controller.interlock
-    partner = [handshake.rapid_power_term(controller, arm)] if joined else []
-    more = handshake.rapid_running_rows(controller, arm) if joined else {}
+    partner = [running_wire.rapid_power_term(controller, arm)] if joined else []
+    more = running_wire.rapid_running_rows(controller, arm) if joined else {}
     signals: list[ConfigurationRow] = []
     crossed: list[ConfigurationRow] = []
     for number, request in enumerate(requests, 1):

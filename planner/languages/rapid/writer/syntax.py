@@ -23,6 +23,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaterni
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
 from planner.languages.writing.layout import TRACK_COLUMN, Outer, Part, Track, number, plain, short
+from planner.languages.writing.names import alike
 from planner.problem import OUTER_DECIMALS
 from planner.targets import Action
 
@@ -141,15 +142,6 @@ def part_names(parts: Sequence[Part]) -> dict[Part, str]:
     visits: dict[str, int] = {}
     known: dict[str, Segment] = {}
     return {part: _name(part.segment, visits, known) for part in parts}
-
-
-def alike(one: Segment, other: Segment) -> Issue:
-    """Why programs cannot tell two segments apart."""
-    message = (
-        f"segments {str(one)!r} and {str(other)!r} would both be called {other.key!r} in the programs, which "
-        "tell neither case nor runs of underscores and other signs apart"
-    )
-    return Issue("post.name", message, hint="give them names that differ in letters or digits")
 
 
 def procedure(segment: Segment) -> str:

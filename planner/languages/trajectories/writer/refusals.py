@@ -1,0 +1,38 @@
+"""What trajectory files cannot express."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from planner.issues import Issue
+from planner.languages.trajectories.writer import program as trajectories
+from planner.languages.trajectories.writer import rows as trajectory_rows
+from planner.problem import Arm, Problem, lights_torch
+
+
+def trajectory_refusals(problem: Problem, arms: Sequence[Arm]) -> list[Issue]:
+    """Why arms that trajectories drive cannot do a job: names of joints that two arms share, torches, tracks
+    and what turns the block."""
+    issues = []
+    seen: dict[str, str] = {}
+    for arm in arms:
+        for joint in trajectories.joint_names(arm, problem.cell.controller):
+            other = seen.setdefault(joint, arm.name)
+            if other != arm.name:
+                got = f"arms {other} and {arm.name} both have a joint {joint}, and one controller moves both"
+                hint = (
+                    f"controller: {{joint_prefix: {{{other}: {other}_, {arm.name}: {arm.name}_}}}}, as the "
+                )
+                hint += "controller's configuration calls them"
+                field = "controller.joint_prefix"
+                issues.append(Issue("post.name", got, field=field, arm=arm.name, hint=hint))
+                break
+            if trajectory_rows.NAME.fullmatch(joint) is None:
+                got = f"{joint!r}, a joint of arm {arm.name}, cannot be named in a file of trajectories; "
+                got += "allowed: a letter, then letters, digits and _ / . -, 100 at most"
+                hint = "rename it in the URDF, or set a letter before it (controller: joint_prefix), and the "
+                hint += "same at the controller"
+                issues.append(Issue("post.name", got, arm=arm.name, hint=hint))
+    lit = [operation for operation in problem.operations if lights_torch(operation)]
+    issues += [trajectories.no_torch(lit[0].arms[0])] if lit else []
+    return issues
