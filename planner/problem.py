@@ -907,3 +907,8 @@ def _keep_off_table(table: Turntable, values: Mapping[str, float]) -> str:
     if table.tilt is None:
         return KEEP_OFF_TABLE.filled(unit=table.unit, value=turn)
     return KEEP_OFF_POSITIONER.filled(unit=table.unit, turn=turn, tilt=tilt)
+
+
+def setups_of(problem: Problem) -> tuple[Setup, ...]:
+    """How the cell stands, setup by setup, and at last, without operations, with all axes home again."""
+    return problem.setups if problem.closing is None else (*problem.setups, problem.closing)

@@ -32,7 +32,7 @@ from planner.languages.rapid.reader.syntax_tree import (
     While,
 )
 from planner.problem import Arm, Problem
-from planner.programs import job
+from planner.programs import job, signals, stages
 from planner.programs.steps import Fault, FlowError, MoveStep, Tool
 from planner.programs.text import settled, strange
 
@@ -84,7 +84,7 @@ class Read:
 def read(problem: Problem, programs: Mapping[str, str]) -> tuple[tuple[Read, ...], tuple[str, ...]]:
     """What each arm's programs say, and files that belong to no arm. Where one arm alone has programs, all
     files of its language are its own."""
-    texts = {path: settled(path, text)[0] for path, text in programs.items() if not job.beside(path)}
+    texts = {path: settled(path, text)[0] for path, text in programs.items() if not stages.beside(path)}
     files, strays = job.task_files(problem, texts)
     names = job.task_names(problem)
     arms = dict(zip(names, problem.cell.arms, strict=False))
@@ -275,7 +275,7 @@ def _krl(problem: Problem, arm: Arm, name: str, unit: str, files: Mapping[str, s
     if text.main is not None and text.data is not None:
         base = arm.base if text.base is None else text.base
         panel = Panel(text.dialect, arm.name, ())
-        runner = _Krl(text.programs, text.data, base, job.krl_signals(problem, arm), panel)
+        runner = _Krl(text.programs, text.data, base, signals.krl_signals(problem, arm), panel)
         runner.begin(faults)
         runner.go(text.main)
         faults += runner.lost

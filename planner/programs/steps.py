@@ -12,12 +12,11 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.languages.krl.reader.syntax_tree import WORLD_FRAME
 
 BASE_FRAME = "base_frame"
 """The datum of a program that says where its arm's base is,"""
@@ -397,3 +396,7 @@ def letters(text: str) -> str:
     """Letters and digits of a text, without accents and case: what survives wrapping and a panel's
     alphabet."""
     return re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", text).lower())
+
+
+WORLD_FRAME: Final = "b_world"
+"""What the frame is called that is the cell's world, as the robot's foot sees it."""

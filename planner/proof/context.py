@@ -16,6 +16,7 @@ from typing import Generic, ParamSpec, TypeVar
 
 import numpy as np
 
+from planner import problem as planner_problem
 from planner.claims.claim import ArmSags, Claim, ContactOnlyIn, FeedWindow, HoldsStock
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
@@ -23,9 +24,9 @@ from planner.languages.rapid.reader.syntax_tree import Data, Literal, build
 from planner.problem import END, Arm, Problem, Setup, Stock
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, WireJoins
 from planner.programs import job as job_text
-from planner.programs import job as setup_text
-from planner.programs.job import JobText, SetupClaims, Spans, Stage, TaskText
+from planner.programs.stages import JobText, Stage, TaskText
 from planner.programs.steps import BASE_FRAME, MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
+from planner.proof import setups
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.external_axes import outer_axes, slid
 from planner.proof.replay import bending
@@ -33,6 +34,7 @@ from planner.proof.replay.bending import Bent
 from planner.proof.replay.motion import Motion
 from planner.proof.replay.moves import Riding
 from planner.proof.replay.playback import replay
+from planner.proof.setups import SetupClaims, Spans
 
 FEED_SLACK = 1.05
 """The replay's ramps and corners may pass feeds by this factor."""
@@ -195,17 +197,17 @@ class Context:
     @cached_property
     def setups(self) -> tuple[Setup, ...]:
         """How the cell stands, setup by setup; at last, without operations, with all axes home again."""
-        return setup_text.setups_of(self.problem)
+        return planner_problem.setups_of(self.problem)
 
     @cached_property
     def setup_claims(self) -> tuple[SetupClaims, ...]:
         """The claims of each setup."""
-        return setup_text.claims_of(self.setups, self.problem, self.by_operation)
+        return setups.claims_of(self.setups, self.problem, self.by_operation)
 
     @cached_property
     def spans(self) -> Spans:
         """Which setup is in force at which stage."""
-        return setup_text.spans(self.setups, self.job)
+        return setups.spans(self.setups, self.job)
 
     @property
     def sample_setup(self) -> IntArray:
@@ -393,7 +395,7 @@ class Context:
                 for where, _, move, wobj in self.work_objects
                 if where == index and wobj.fixed and not move.in_world
             )
-            before = out[-1] if out and setup_text.stays(self.problem, setup) else None
+            before = out[-1] if out and setups.stays(self.problem, setup) else None
             found = next(named, None)
             out.append(next((p for p in (found, setup.stock.place, before) if p is not None), None))
         return tuple(out)

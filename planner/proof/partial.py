@@ -18,8 +18,8 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
 from planner.programs import partial
-from planner.programs.job import JobText, Stage, TaskText
 from planner.programs.partial import KNOWN_MOVES, Gap, Read
+from planner.programs.stages import JobText, Stage, TaskText
 from planner.programs.steps import JointTarget, MoveStep, RobTarget, StatusTarget
 from planner.proof.clearance.samples import least_distances
 from planner.proof.context import Context

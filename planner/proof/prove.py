@@ -21,7 +21,7 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.languages.krl.rules import spline
 from planner.languages.trajectories.rules import trajectories
-from planner.problem import TILT, Problem, Settings
+from planner.problem import TILT, Problem, Settings, setups_of
 from planner.processes.forming.proof import swept
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.rules import claims as forming_claims
@@ -37,7 +37,6 @@ from planner.processes.poses.proof.rules import given_poses
 from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.rules import forming_holes, knife, mill, slots
 from planner.processes.trim.proof.torch_motion import Trimming
-from planner.programs.job import setups_of
 from planner.proof import verdict
 from planner.proof.clearance.samples import Measured
 from planner.proof.context import Context, Outcome, Rule

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.languages.writing import write
-from planner.programs import job
+from planner.programs import stages
 from planner.programs.handshake import restarts
 from planner.programs.handshake import windows as handshake_windows
 from planner.programs.handshake.moves import Move, moves
@@ -54,7 +54,7 @@ def as_written(operations=1):
         dataclasses.replace(problem, operations=problem.operations * operations),
     )
     context = Context(problem, {"panel": ()}, {path: text.replace("\r", "") for path, text in texts.items()})
-    wiring, readings = job.wiring(context.problem), context.job.readings
+    wiring, readings = stages.wiring(context.problem), context.job.readings
     return tuple(
         zip(
             *(

@@ -10,7 +10,7 @@ from planner.claims import sentences
 from planner.languages.krl.writer import syntax as krl_syntax
 from planner.languages.rapid.writer import syntax
 from planner.processes.hotwire import sentences as hotwire_sentences
-from planner.proof.dialogue import fit, on_panel
+from planner.programs.dialogue_text import fit, on_panel
 
 
 def test_figures_are_held_with_their_rounding():

@@ -33,7 +33,7 @@ from planner.geometry.arrays import (
     inverse,
     log_rotation,
 )
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import (
     MOST_OUTER,
     JointTarget,

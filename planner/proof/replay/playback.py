@@ -21,7 +21,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
-from planner.programs.job import JobText, Stage, TaskText
+from planner.programs.stages import JobText, Stage, TaskText
 from planner.programs.steps import MoveStep, Step
 from planner.programs.text import segment_of_name
 from planner.proof.kinematics import arm_model, inverse_kinematics

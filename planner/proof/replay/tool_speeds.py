@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep
 from planner.proof.context import Context
 from planner.proof.kinematics.arm_model import Machine, machine_of

@@ -15,7 +15,16 @@ import numpy as np
 
 from planner.geometry.arrays import inverse
 from planner.issues import Issue
+from planner.languages.krl.reader.lines import krl_lines
 from planner.languages.rapid import sentences as rapid_sentences
+from planner.languages.rapid.reader.configuration import (
+    Row,
+    UnreadError,
+    configuration,
+    crossed,
+    rapid_signals,
+    rapid_words,
+)
 from planner.languages.rapid.reader.flow import CHECK_MODULE
 from planner.languages.rapid.reader.reader import masked
 from planner.languages.rapid.reader.syntax_tree import Instruction, Literal, ProcCall
@@ -26,19 +35,10 @@ from planner.languages.urscript.reader.reader import pose
 from planner.languages.urscript.reader.syntax_tree import CHECK_POINT, LOOK_ERROR
 from planner.problem import Controller
 from planner.processes.forming.claims import SinksHolder
-from planner.programs.job import CONTROLLER, TaskText, controllers
+from planner.programs.job import controllers
+from planner.programs.stages import CONTROLLER, TaskText
 from planner.programs.steps import BASE_FRAME, SettingStep, SignalStep, Step
-from planner.programs.text import (
-    Partner,
-    Row,
-    UnreadError,
-    configuration,
-    crossed,
-    krl_lines,
-    rapid_signals,
-    rapid_words,
-    strange,
-)
+from planner.programs.text import Partner, strange
 from planner.proof.context import Context, Outcome, at_step, mm, rule
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.external_axes import OuterAxis, outer_axes

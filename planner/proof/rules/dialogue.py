@@ -21,22 +21,13 @@ from planner.processes.hotwire import sentences as hotwire_sentences
 from planner.processes.hotwire.claims import FollowsRulings, WireJoins
 from planner.processes.hotwire.proof.rules.straight_wire import guide_normals, off_guide
 from planner.processes.hotwire.proof.wire_motion import Wire
-from planner.programs.job import TaskText
+from planner.programs.dialogue_text import Fit, fit, tolerance
+from planner.programs.dialogue_text import sentence_text as sentence_of
+from planner.programs.stages import TaskText
 from planner.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
 from planner.proof import dialogue
 from planner.proof.context import Context, Outcome, at_step, rule
-from planner.proof.dialogue import (
-    Fit,
-    Part,
-    Place,
-    Said,
-    Spoken,
-    fit,
-    spoken_steps,
-    tolerance,
-    wanted_dialogue,
-)
-from planner.proof.dialogue import sentence_text as sentence_of
+from planner.proof.dialogue import Part, Place, Said, Spoken, spoken_steps, wanted_dialogue
 from planner.proof.replay.motion import local
 
 DIALOGUE = "verify.dialogue"

@@ -17,7 +17,7 @@ from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.reader.flow import AXIS_LOOK
 from planner.languages.rapid.reader.flow import AXES_CHECK
 from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import MOST_OUTER, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.proof.context import Context, Outcome, at_step, mm, rule
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, outer_axes, place_in_turn, slid

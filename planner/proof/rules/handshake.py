@@ -10,12 +10,12 @@ from typing import Final
 
 from planner.claims.handshake import SignalWire
 from planner.issues import Issue
-from planner.programs import job
+from planner.programs import signals, stages
 from planner.programs.handshake import moves as handshake_moves
 from planner.programs.handshake import restarts
 from planner.programs.handshake.automata import Reading, Wiring
 from planner.programs.handshake.model import Action, Event, Finding, Product, RunningWire, check
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import CheckStep, MoveStep, RunningStep, SignalStep, Step, WaitStep, WatchStep
 from planner.proof.context import Context, Outcome, at_step, rule
 
@@ -175,7 +175,7 @@ def handshake(context: Context) -> Outcome:
     readings = context.job.readings
     if readings is None:
         return Outcome(nothing="one controller")
-    wiring = job.wiring(context.problem)
+    wiring = stages.wiring(context.problem)
     issues = _unfit(context)
     issues += _wired_wrong(context, wiring)
     for task in context.job.tasks:
@@ -334,7 +334,7 @@ def _restarted(context: Context, found: restarts.Restarted) -> Issue:
 def _watched(context: Context, task: TaskText) -> list[Issue]:
     """Faults of the thread by which a program of URScript stops when the other one does: no controller of UR
     has an input for that which is set beside the program."""
-    wiring = job.wiring(context.problem)
+    wiring = stages.wiring(context.problem)
     other = next(one for one in context.job.tasks if one is not task)
     issues: list[Issue] = []
 
@@ -382,7 +382,7 @@ def _exchanged(context: Context) -> list[Issue]:
     issues = []
     for task, other in (tasks, tasks[::-1]):
         number = controller.number(task.name, controller.handshake.of(task.name).running)
-        names = job.krl_signals(context.problem, other.arm).outputs
+        names = signals.krl_signals(context.problem, other.arm).outputs
         if number is not None and number in names:
             what = (
                 f"the running wire of {task.name} is output {number}, which is {names[number]} at "

@@ -17,7 +17,7 @@ from planner.languages.rapid.reader.syntax_tree import Module
 from planner.languages.trajectories.reader import flow as trajectory_flow
 from planner.languages.urscript.reader.syntax_tree import STAND
 from planner.processes.trim.claims import TrimsSheet
-from planner.programs.job import TaskText, sync_points
+from planner.programs.stages import TaskText, sync_points
 from planner.programs.steps import (
     UNUSED_AXIS,
     JointTarget,

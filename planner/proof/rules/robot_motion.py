@@ -17,7 +17,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Cell
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep, RobTarget
 from planner.proof.context import Context, Outcome, at_node, at_sample, at_step, mm, rule
 from planner.proof.kinematics import arm_model

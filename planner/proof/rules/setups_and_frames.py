@@ -13,7 +13,6 @@ from planner.claims.claim import HoldsStock
 from planner.geometry.arrays import FloatArray, inverse, log_rotation
 from planner.issues import Issue
 from planner.problem import Stock
-from planner.programs.job import Asked, all_asked, one_line, shown_letters, stays
 from planner.programs.steps import (
     CarryStep,
     ChoiceStep,
@@ -26,6 +25,7 @@ from planner.programs.steps import (
     rotation,
 )
 from planner.proof.context import Context, Outcome, at_step, mm, rule
+from planner.proof.setups import Asked, all_asked, one_line, shown_letters, stays
 from planner.tooling import Tool as WantedTool
 
 FRAME_POSITION = 1e-6

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from planner.issues import Issue
-from planner.programs.job import Stage, TaskText, sync_points
+from planner.programs.stages import Stage, TaskText, sync_points
 from planner.programs.steps import (
     MOST_OUTER,
     CallStep,

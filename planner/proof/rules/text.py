@@ -20,7 +20,8 @@ from xml.etree import ElementTree as ET
 
 from planner.issues import Issue, Severity
 from planner.languages.rapid.reader.syntax_tree import QUATERNION_TOLERANCE, Literal
-from planner.programs.job import TRAJECTORY, JobText, TaskText, speaks_trajectories, task_names
+from planner.programs.job import TRAJECTORY, speaks_trajectories, task_names
+from planner.programs.stages import JobText, TaskText
 from planner.programs.steps import DIGEST, Fault, MoveStep
 from planner.programs.text import changed, strange
 from planner.proof.context import Context, Outcome, rule, target

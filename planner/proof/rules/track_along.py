@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep
 from planner.proof.context import Context, Outcome, at_node, at_sample, mm, rule
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, outer_axes

@@ -16,9 +16,9 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.hotwire.claims import StraightWire, WireJoins
 from planner.processes.milling.claims import MillsAlong
-from planner.programs import job
+from planner.programs import job, stages
 from planner.programs.handshake.automata import Reading
-from planner.programs.job import Stage, TaskText, sync_points
+from planner.programs.stages import Stage, TaskText, sync_points
 from planner.programs.steps import ChoiceStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context, Outcome, at_node, at_step, mm, rule
@@ -324,7 +324,7 @@ def _answers(context: Context) -> Iterator[Issue]:
         asks |= _intervals(other, theirs, _moves) - _intervals(task, mine, _moves)
         travels = _travels(context, other, theirs)
         most = max(handshake.patience, handshake.timeout) + 1.0 + _busy(other) + sum(travels.values())
-        watched = job.wiring(context.problem).watches.get(task.name, frozenset())
+        watched = stages.wiring(context.problem).watches.get(task.name, frozenset())
         for step, interval in _meetings(task, mine, handshake.kind, watched, midway):
             least = handshake.patience if interval in asks else min(handshake.timeout, handshake.patience)
             least += max(travels.get(interval, 0.0) - TRAVEL_SPARE, 0.0)

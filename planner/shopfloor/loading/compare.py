@@ -12,7 +12,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Arm, Problem
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import SignalStep, WaitStep, poses
 from planner.proof.context import Context
 from planner.shopfloor.loading.literals import difference, turn_deg

@@ -11,7 +11,7 @@ import re
 from pathlib import PurePosixPath
 from typing import Final
 
-from planner.programs.job import MODULES
+from planner.programs.stages import MODULES
 from planner.shopfloor.loading.literals import Shape, shape
 
 KRL: Final = (".src", ".dat", ".sub")

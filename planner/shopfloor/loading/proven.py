@@ -19,7 +19,7 @@ from planner.files import RELEASE, STATEMENT, write_whole
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Problem
 from planner.programs import text as program_text
-from planner.programs.job import CONTROLLER
+from planner.programs.stages import CONTROLLER
 
 if TYPE_CHECKING:
     from planner.proof.verdict import Proof

@@ -8,9 +8,9 @@ import functools
 import numpy as np
 import pytest
 
+from planner.languages.rapid.reader.configuration import rapid_signals
 from planner.languages.writing import write
 from planner.problem import DevicePlace, Interlock, PowerOutput
-from planner.programs.text import rapid_signals
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.proof.rules.controller_files import controller_files

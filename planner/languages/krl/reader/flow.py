@@ -45,6 +45,7 @@ from planner.languages.krl.reader.syntax_tree import (
     Straight,
 )
 from planner.languages.krl.reader.values import NO_LOAD, held_load, quaternion
+from planner.programs.signals import Signals
 from planner.programs.steps import (
     UNUSED_AXIS,
     CarryStep,
@@ -92,13 +93,6 @@ _PRELUDE_REASON = "stop reactions and settings need"
 """Why they are needed, for faults."""
 _UNBOUNDED = 1.0
 """A length [m] that is no bound: for a corner that the angle alone decides."""
-
-
-class Signals(NamedTuple):
-    """Names of a controller's outputs and inputs by number."""
-
-    outputs: Mapping[int, str]
-    inputs: Mapping[int, str]
 
 
 class _Pose(NamedTuple):

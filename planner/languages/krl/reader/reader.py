@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from planner.geometry.arrays import FloatArray
-from planner.languages.krl.reader.flow import Runner, Signals
+from planner.languages.krl.reader.flow import Runner
 from planner.languages.krl.reader.panel import VARIABLES, Panel
 from planner.languages.krl.reader.parser import Reader
 from planner.languages.krl.reader.syntax_tree import (
@@ -25,6 +25,7 @@ from planner.languages.krl.reader.syntax_tree import (
     Statement,
     Straight,
 )
+from planner.programs.signals import Signals
 from planner.programs.steps import BASE_FRAME, DIGEST, Fault, Step
 
 _MOVE_WORDS: dict[str, dict[str, tuple[str, ...]]] = {

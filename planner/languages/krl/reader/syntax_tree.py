@@ -286,8 +286,6 @@ CHOICE_SETTINGS: Final = {"$ipo_mode": ("#base",), "$ori_type": ("#var",), "$adv
 without which each corner is a stop."""
 FRAME_SETTINGS: Final = {"$tool": "frame", "$base": "frame", "$load": "load"}
 """Settings that name data, with their type."""
-WORLD_FRAME: Final = "b_world"
-"""What the frame is called that is the cell's world, as the robot's foot sees it."""
 FOOT_SHIFT_MM: Final = 0.1
 """How far $ROBROOT may be off zero: its way [mm],"""
 FOOT_TURN_DEG: Final = 0.02

@@ -26,7 +26,7 @@ from planner.languages.krl.reader.syntax_tree import SPLINE_MOVE
 from planner.processes.milling import claims
 from planner.processes.milling.claims import SafeWays, SparesPart
 from planner.processes.poses.claims import FollowsPoses, FollowsTable
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import JointTarget, MoveStep, PassedTarget, poses
 from planner.proof.context import Context, Outcome, at_step, mm, rule
 from planner.proof.kinematics import arm_model

@@ -12,9 +12,9 @@ from typing import Final
 
 from planner.claims import sentences
 from planner.languages.rapid import sentences as rapid_sentences
+from planner.languages.rapid.reader.configuration import Row
 from planner.problem import Controller
 from planner.processes.trim.claims import TrimsSheet
-from planner.programs.text import Row
 from planner.proof.context import Context
 
 POWER_MODULE: Final = "TandemPower"

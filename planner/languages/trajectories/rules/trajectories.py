@@ -25,10 +25,10 @@ from planner.languages.trajectories.reader.rows import (
     ToolRow,
 )
 from planner.problem import Stock
-from planner.programs.job import TaskText
+from planner.programs.dialogue_text import on_panel
+from planner.programs.stages import TaskText
 from planner.programs.steps import PassedTarget
 from planner.proof.context import Context, Outcome, at_sample, at_step, mm, rule
-from planner.proof.dialogue import on_panel
 from planner.proof.kinematics.arm_model import machine_of
 from planner.proof.replay.driven_speed import settling_share
 from planner.proof.replay.moves import cubic, driven_knots

@@ -30,8 +30,8 @@ from planner.processes.milling.proof import gcode_moves
 from planner.processes.milling.proof.gcode_lines import UnreadableError
 from planner.processes.milling.proof.gcode_moves import Way
 from planner.processes.milling.proof.surface_passes import Laid, Places
-from planner.programs.job import MILL
 from planner.proof.part_files import UNITS, UnreadError, curves, rhino
+from planner.proof.setups import MILL
 from planner.tooling import Cutter
 
 LEAST_PLUNGE = 2e-3

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.languages.krl.reader import reader
-from planner.languages.krl.reader.flow import Signals
 from planner.languages.krl.reader.values import held_load, quaternion, value
+from planner.programs.signals import Signals
 from planner.programs.steps import (
     CarryStep,
     FlowError,

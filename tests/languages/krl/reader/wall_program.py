@@ -1,7 +1,7 @@
 """A KRL program written by hand after docs/krl.md, whole and in parts, in both dialects."""
 
 from planner.languages.krl.reader import reader
-from planner.languages.krl.reader.flow import Signals
+from planner.programs.signals import Signals
 
 HEAD = "&ACCESS RVP\r\n&REL 1\r\n"
 OUTER = "E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0"

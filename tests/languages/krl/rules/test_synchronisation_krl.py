@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planner.languages.krl.reader import reader
-from planner.languages.krl.reader.flow import Signals
+from planner.programs.signals import Signals
 from planner.programs.steps import MoveStep
 from planner.proof.rules import synchronisation
 from tests.languages.krl.reader.wall_program import MAIN, MOVES, OLDER, read

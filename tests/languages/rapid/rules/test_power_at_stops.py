@@ -12,13 +12,14 @@ import types
 import numpy as np
 import pytest
 
+from planner.languages.krl.reader.lines import krl_lines
 from planner.languages.krl.writer import controller_files as krl_files
+from planner.languages.rapid.reader.configuration import rapid_words
 from planner.languages.rapid.rules import power_at_stops
 from planner.languages.rapid.writer import controller_files as rapid_files
 from planner.languages.writing import write
 from planner.problem import Interlock, PowerOutput
 from planner.processes.trim.claims import TrimsSheet
-from planner.programs.text import krl_lines, rapid_words
 from planner.proof.context import Context
 from planner.proof.rules.controller_files import controller_files
 from planner.report import setup_sheet

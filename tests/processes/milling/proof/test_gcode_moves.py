@@ -34,7 +34,7 @@ from planner.processes.milling.plan.tool_path import ToolPath
 from planner.processes.milling.proof import gcode_moves as second
 from planner.processes.milling.proof import wanted_ways
 from planner.processes.milling.proof.gcode_lines import UnreadableError, words
-from planner.proof import dialogue
+from planner.programs import dialogue_text
 from planner.proof.prove import Prover
 from planner.proof.verdict import Proof
 from tests.processes.milling.plan.gcode import gcode_random
@@ -196,13 +196,15 @@ def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
     (group,) = wanted_ways.worked_out(registry.claims(own))[0].values()
     (spoken,) = [claim for claim in group if isinstance(claim, OperatorDialogue)]
     (stop,) = spoken.stops
-    assert [dialogue.sentence_text(s.sentence, s.figures) for s in spoken.first if s.kind == "asked"] == [
+    assert [
+        dialogue_text.sentence_text(s.sentence, s.figures) for s in spoken.first if s.kind == "asked"
+    ] == [
         "Go on: spindle at 6000 1/min?",
         "Block and cutter clamped, nobody in the cell?",
     ]
     assert [s.kind for s in stop.steps] == ["off", "wait", "asked", "on", "wait"]
     question = "Go on: line 13 of the file, spindle at 9000 1/min?"
-    assert dialogue.sentence_text(stop.steps[2].sentence, stop.steps[2].figures) == question
+    assert dialogue_text.sentence_text(stop.steps[2].sentence, stop.steps[2].figures) == question
     assert (stop.where, str(stop.segment)) == ("before", "mill/prog_2_in")
     ways = [claim for claim in group if isinstance(claim, MillsAlong)]
     assert [str(way.segment) for way in ways] == [

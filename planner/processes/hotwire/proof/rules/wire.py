@@ -18,7 +18,8 @@ from planner.processes.forming.claims import SinksHolder
 from planner.processes.hotwire.claims import WireJoins
 from planner.processes.hotwire.proof.wire_motion import Wire, end_distances
 from planner.processes.trim.claims import TrimsSheet
-from planner.programs.job import TaskText, controllers
+from planner.programs.job import controllers
+from planner.programs.stages import TaskText
 from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
 from planner.proof.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
 from planner.proof.replay.motion import steps_across

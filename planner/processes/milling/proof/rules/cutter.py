@@ -48,8 +48,8 @@ from planner.processes.milling.proof.tool_motion import (
     sweep,
 )
 from planner.processes.trim.claims import TrimsSheet
-from planner.programs.job import MILL
 from planner.proof.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.proof.setups import MILL
 from planner.proof.verdict import CutFace
 from planner.runtime.executor import SERIAL
 from planner.tooling import Mill

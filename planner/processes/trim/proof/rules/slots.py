@@ -31,7 +31,7 @@ from planner.processes.trim.proof.torch_motion import (
     longest_stay,
     off_sheet,
 )
-from planner.programs.job import TaskText
+from planner.programs.stages import TaskText
 from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
 from planner.proof.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
