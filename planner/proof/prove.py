@@ -39,9 +39,10 @@ from planner.processes.trim.proof.rules import forming_holes, knife, mill, slots
 from planner.processes.trim.proof.torch_motion import Trimming
 from planner.proof import verdict
 from planner.proof.clearance.samples import Measured
-from planner.proof.context import Context, Outcome, Rule
+from planner.proof.context import Context
 from planner.proof.dialogue import chosen_groups
 from planner.proof.kinematics.external_axes import moved_on
+from planner.proof.rule import Outcome, Rule
 from planner.proof.rules import (
     arm_sag,
     block_support,

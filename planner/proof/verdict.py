@@ -17,7 +17,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.issues import Issue, has_errors
 from planner.languages.krl.reader.parser import without_comments
-from planner.languages.rapid.reader.lexer import Cursor
+from planner.languages.rapid.reader.same_text import text_lines, text_words
 from planner.languages.urscript.reader.words import without_comments as without_hash_comments
 from planner.processes.forming.proof.state import Forming
 from planner.processes.hotwire.proof.rules.wire import feed_speed
@@ -244,19 +244,4 @@ def _same(name: str, first: str, second: str) -> bool:
         return without_comments(first) == without_comments(second)
     if PurePosixPath(name).suffix.lower() == ".script":
         return without_hash_comments(first) == without_hash_comments(second)
-    return _lines(first) == _lines(second) or _words(first) == _words(second)
-
-
-def _lines(content: str) -> list[str]:
-    """The lines that hold more than a comment: no string, the only other place for a !, goes over a line's
-    end."""
-    lines = (line.strip(" \t\r") for line in content.split("\n"))
-    return [line for line in lines if line and not line.startswith("!")]
-
-
-def _words(content: str) -> list[str]:
-    cursor, out = Cursor(content), []
-    while cursor.token.kind not in ("end", "bad"):
-        out.append(cursor.token.word or cursor.token.text)
-        cursor.take()
-    return [*out, cursor.token.kind]
+    return text_lines(first) == text_lines(second) or text_words(first) == text_words(second)

@@ -15,8 +15,8 @@ from planner.cell.axis_way import AxisWay, Look
 from planner.cell.bodies import Solid
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, Shape
-from planner.proof.context import mm
 from planner.proof.kinematics.external_axes import OuterAxis
+from planner.proof.rule import mm
 
 SAME_WAY = 1e-6
 """Distances that differ by no more [m] are one."""

@@ -20,16 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import closest_on_triangles
-from planner.processes.forming.proof.face import Face, least_gap
-from planner.processes.forming.proof.state import Forming
-from planner.processes.forming.proof.swept import Swept, swept
 from planner.processes.hotwire.claims import CutsSurface
-from planner.processes.hotwire.proof.cut_surface import Sweep, distance_to_sweep
+from planner.processes.hotwire.proof.cut_surface import Sweep
 from planner.processes.milling.claims import MillsSurface
-from planner.processes.milling.proof.tool_motion import BEND_SHARE, SIGHT_DISTANCE, Milling, solids, sweep
 from planner.proof.context import Context
 from planner.proof.part_files import Samples, on_triangles
-from planner.proof.part_files.sheets import SheetFace
 
 _SAME_MOMENT_FACTOR: Final = 1.3
 """Moments of inertia whose square roots differ by less than this factor may be the same."""
@@ -319,7 +314,7 @@ ON_FACE: Final = 1e-4
 """[m] a face that is claimed is the one that is read where it is no farther from it than this, ..."""
 NOISE_TOLERANCES: Final = 2.5
 """... or, in a mesh with noise, than so many of its tolerances: folds are rounded there."""
-_AXIS_PLACES: Final = 5
+AXIS_PLACES: Final = 5
 """Places along a cutter's axis that must be on the outer side."""
 
 
@@ -366,86 +361,10 @@ def _straight_cuts(operation: Any) -> tuple[str, ...]:
     return tuple(cut.surface for cut in operation.cuts if hasattr(cut, "surface"))
 
 
-def off_wire(one: Made, places: Samples) -> FloatArray:
-    """How far (N,) [m] what the wire leaves is off places, above zero outside of the part; NaN where it did
-    not pass."""
-    if one.sweep is None or not isinstance(one.claim, CutsSurface):
-        return np.full(len(places.points), np.nan)
-    distance, speed = distance_to_sweep(places.points, places.normals, one.sweep)
-    return np.asarray(distance - 0.5 * one.claim.kerf.at(speed))
-
-
-def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
-    """How far (N,) [m] the swept cutter is off places; NaN where it never comes near, or from within."""
-    if not isinstance(one.claim, MillsSurface):
-        return np.full(len(places.points), np.nan)
-    labels = tuple(segment.key for segment in one.claim.segments)
-    track = milling.track(one.index, one.claim.arm, labels)
-    solid = solids(one.claim.cutter)[0]
-    step = float(np.clip(np.sqrt(0.4 * solid.radius * one.tolerance), 0.3e-3, 3e-3))
-    tip, axis, _ = track.spaced(step, BEND_SHARE * one.tolerance)
-    off, _ = sweep(places.points, tip, axis, solid)
-    # the cutter's axis has to be on the outer side
-    heights = np.linspace(min(solid.radius, solid.end), solid.end, _AXIS_PLACES)
-    line = np.concatenate([tip + height * axis for height in heights])
-    near = line[np.asarray(cKDTree(line).query(places.points)[1])]
-    outside = np.einsum("ij,ij->i", near - places.points, places.normals) > 0.0
-    return np.asarray(np.where(outside & (off < SIGHT_DISTANCE), off, np.nan))
-
-
 def of_claim(one: Made, count: int) -> Samples:
     """Places of the claimed surface, by which a part is looked for in the block."""
     corners = one.claim.vertices[one.claim.faces]
     return on_triangles(corners, np.arange(len(corners)) + 1, count)
-
-
-def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: bool) -> tuple[FloatArray, ...]:
-    """How far (N,) [m] the nearest of all passes of the forming balls is off the walls of the sheet, and what
-    the steps of its path may leave there (N,) [m].
-
-    The face that a ball above the sheet touches is the read one moved up by the ``thickness`` [m]. With
-    ``shifted``, features are formed at other levels than the part has them at. What a ball of that size
-    cannot reach is allowed too. NaN where no face that is claimed is the read one.
-    """
-    points = sheet.walls.points
-    off, allowed = np.full(len(points), np.nan), np.zeros(len(points))
-    for one in forming.formed:
-        claim = one.claim
-        rise = np.array([0.0, 0.0, thickness if claim.side > 0 else 0.0])
-        here = points + rise
-        if shifted:
-            here = here + np.array([0.0, 0.0, _shift(claim.vertices[claim.faces], sheet.face.corners + rise)])
-        found = swept(Swept.of(one), here) - claim.radius
-        near = one.face.nearest(here)
-        # where the face that is claimed is not the read one, its steps and what balls reach of it say nothing
-        found[near.apart > ON_FACE + NOISE_TOLERANCES * sheet.tolerance] = np.nan
-        ridge = np.zeros(len(here))
-        np.maximum.at(ridge, near.row, claim.scallop[one.face.rows[near.triangle]])
-        rows = np.flatnonzero((found > ridge) & (found < claim.radius))
-        up = sheet.walls.normals[rows]
-        up = up * np.where(up[:, 2:] < 0.0, -1.0, 1.0)
-        ridge[rows] += least_gap(one.face, here[rows], up, claim.radius, claim.side)
-        better = np.isfinite(found) & ~(np.abs(found) >= np.abs(off))  # NaN gives way
-        off, allowed = np.where(better, found, off), np.where(better, ridge, allowed)
-    return off, allowed
-
-
-def _shift(claimed: FloatArray, read: FloatArray) -> float:
-    """How much higher [m] the walls of a face (F, 3, 3) are than what is below or above them of another."""
-    slope = np.cross(claimed[:, 1] - claimed[:, 0], claimed[:, 2] - claimed[:, 0])
-    steep = slope[:, 2] < 0.98 * np.linalg.norm(slope, axis=1)
-    places = (claimed[steep] if steep.any() else claimed).mean(axis=1)[:2000]
-    near = np.asarray(cKDTree(read.mean(axis=1)[:, :2]).query(places[:, :2])[1])
-    corner, across = read[near, 0], np.cross(read[near, 1] - read[near, 0], read[near, 2] - read[near, 0])
-    fall = np.where(np.abs(across[:, 2]) > 1e-15, across[:, 2], np.inf)
-    level = corner[:, 2] - ((places - corner)[:, :2] * across[:, :2]).sum(axis=1) / fall
-    return float(np.median(places[:, 2] - level))
-
-
-def off_mesh(points: FloatArray, vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """How far (N,) [m] points are off a mesh."""
-    face = Face(vertices, faces, 0.01)
-    return face.nearest(points).apart
 
 
 def off_facets(points: FloatArray, facets: FloatArray) -> FloatArray:

@@ -14,8 +14,9 @@ from planner.claims.claim import ArmSags
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.problem import Arm
-from planner.proof.context import Context, Outcome, at_sample, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
+from planner.proof.rule import Outcome, at_sample, mm, rule
 
 SAG: Final = "verify.sag"
 FIGURE_ERROR: Final = 1e-9

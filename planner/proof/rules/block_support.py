@@ -15,8 +15,9 @@ from planner.geometry.arrays import FloatArray, corners, inverse, transform
 from planner.geometry.units import GRAVITY
 from planner.issues import Issue
 from planner.problem import Cell, Pedestal, Setup, Stock
-from planner.proof.context import Context, Outcome, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import floor_of
+from planner.proof.rule import Outcome, mm, rule
 from planner.tooling import Gripper
 
 GRIP_FACTOR: Final = 3.0

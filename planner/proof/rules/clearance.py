@@ -34,7 +34,8 @@ from planner.proof.clearance.samples import (
     least_distances,
     travel,
 )
-from planner.proof.context import Context, Outcome, at_sample, mm, rule
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, at_sample, mm, rule
 
 Models = Callable[[int], CellModel]
 

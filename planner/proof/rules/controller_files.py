@@ -39,9 +39,10 @@ from planner.programs.job import controllers
 from planner.programs.stages import CONTROLLER, TaskText
 from planner.programs.steps import BASE_FRAME, SettingStep, SignalStep, Step
 from planner.programs.text import Partner, strange
-from planner.proof.context import Context, Outcome, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.external_axes import OuterAxis, outer_axes
+from planner.proof.rule import Outcome, at_step, mm, rule
 from planner.proof.rules.external_axes import OFF_HOME
 from planner.proof.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
 

@@ -26,9 +26,10 @@ from planner.programs.dialogue_text import sentence_text as sentence_of
 from planner.programs.stages import TaskText
 from planner.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
 from planner.proof import dialogue
-from planner.proof.context import Context, Outcome, at_step, rule
+from planner.proof.context import Context
 from planner.proof.dialogue import Part, Place, Said, Spoken, spoken_steps, wanted_dialogue
 from planner.proof.replay.motion import local
+from planner.proof.rule import Outcome, at_step, rule
 
 DIALOGUE = "verify.dialogue"
 """Code of the rule about what is told and asked."""

@@ -19,8 +19,9 @@ from planner.languages.rapid.reader.flow import AXES_CHECK
 from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
 from planner.programs.stages import TaskText
 from planner.programs.steps import MOST_OUTER, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
-from planner.proof.context import Context, Outcome, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, outer_axes, place_in_turn, slid
+from planner.proof.rule import Outcome, at_step, mm, rule
 from planner.proof.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
 BLIND_SPEED = 0.25

@@ -17,7 +17,8 @@ from planner.programs.handshake.automata import Reading, Wiring
 from planner.programs.handshake.model import Action, Event, Finding, Product, RunningWire, check
 from planner.programs.stages import TaskText
 from planner.programs.steps import CheckStep, MoveStep, RunningStep, SignalStep, Step, WaitStep, WatchStep
-from planner.proof.context import Context, Outcome, at_step, rule
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, at_step, rule
 
 EVENTS_SHOWN = 6
 """Events that are told of the way to a fault."""

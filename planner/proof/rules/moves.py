@@ -33,8 +33,9 @@ from planner.programs.steps import (
     SyncStep,
     WaitStep,
 )
-from planner.proof.context import Context, Outcome, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import outer_axes
+from planner.proof.rule import Outcome, at_step, mm, rule
 from planner.proof.rules import synchronisation
 from planner.proof.rules.synchronisation import straight_way
 

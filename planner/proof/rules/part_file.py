@@ -19,15 +19,19 @@ import numpy as np
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
+from planner.processes.forming.proof import made_sheet
 from planner.processes.forming.proof.state import Forming
 from planner.processes.hotwire.claims import CutsSurface
+from planner.processes.hotwire.proof import made_surfaces
 from planner.processes.hotwire.proof.cut_surface import Sweep
+from planner.processes.milling.proof import made_surfaces as proof_made_surfaces
 from planner.processes.milling.proof.tool_motion import Milling
-from planner.proof.context import Context, Outcome, mm, rule
+from planner.proof.context import Context
 from planner.proof.part_files import Samples, UnreadError, comparison, on_triangles, pose
 from planner.proof.part_files.comparison import Made
 from planner.proof.part_files.sheets import sheet_face
 from planner.proof.part_files.surfaces import Surface, stated
+from planner.proof.rule import Outcome, mm, rule
 
 PART_FILE: Final = "verify.part_file"
 """Code of this rule."""
@@ -264,7 +268,11 @@ class _Tried:
     ) -> None:
         self.surface, self.one, self.places = surface, one, places
         wire = isinstance(one.claim, CutsSurface)
-        self.off = comparison.off_wire(one, places) if wire else comparison.off_cutter(milling, one, places)
+        self.off = (
+            made_surfaces.off_wire(one, places)
+            if wire
+            else proof_made_surfaces.off_cutter(milling, one, places)
+        )
         self.limit, self.wanted = one.tolerance + surface.spare + READING_ERROR, one.share - SHARE_NOISE
         self.counts = np.ones(len(places.points), dtype=np.bool_)
         if one.margin > 0.0:
@@ -319,7 +327,7 @@ def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None
     if one.sweep is None or not isinstance(one.claim, CutsSurface):
         return
     places = comparison.of_claim(one, FEWEST_PLACES)
-    off = comparison.off_wire(one, places)
+    off = made_surfaces.off_wire(one, places)
     points = places.points + off[:, None] * places.normals
     known = np.isfinite(off)
     facets = surface.facets @ at[:3, :3].T + at[:3, 3]
@@ -347,19 +355,19 @@ def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None
     )
     if level is not None and whole is not None:
         # all passes are claimed and held against this part, though one level alone is formed
-        off = np.abs(comparison.off_mesh(sheet.walls.points, whole.vertices, whole.faces))
+        off = np.abs(made_sheet.off_mesh(sheet.walls.points, whole.vertices, whole.faces))
         allowed, segment = np.full(len(off), tolerance), str(level.claim.segment)
     elif forming.formed:
         shifted = any(op.strategy == "virgin" for op in operations)
         thickness = float(context.problem.stock.size[2])
-        off, allowed = comparison.off_sheet(forming, sheet, thickness, shifted)
+        off, allowed = made_sheet.off_sheet(forming, sheet, thickness, shifted)
         segment = str(forming.formed[0].claim.segment)
     else:
         # both tools follow stated poses; what they leave is not a matter of where a ball was
         formed = None if context.problem.part is None else context.problem.part.formed
         if formed is None:
             return
-        off = comparison.off_mesh(sheet.walls.points, formed.source.vertices, formed.source.faces)
+        off = made_sheet.off_mesh(sheet.walls.points, formed.source.vertices, formed.source.faces)
         allowed, segment = np.full(len(off), tolerance), "part"
     spare = READING_ERROR + sheet.tolerance
     good = (off <= allowed + spare) & (off >= -tolerance - spare)

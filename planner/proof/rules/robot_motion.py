@@ -19,11 +19,12 @@ from planner.issues import Issue, TandemError
 from planner.problem import Cell
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep, RobTarget
-from planner.proof.context import Context, Outcome, at_node, at_sample, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.inverse_kinematics import singularity_distance
 from planner.proof.replay.moves import driven_knots
 from planner.proof.replay.tool_speeds import tool_speeds
+from planner.proof.rule import Outcome, at_node, at_sample, at_step, mm, rule
 from planner.proof.rules.setups_and_frames import at_home
 
 JOINT_JUMP = np.deg2rad(8.0)

@@ -24,7 +24,8 @@ from planner.programs.steps import (
     letters,
     rotation,
 )
-from planner.proof.context import Context, Outcome, at_step, mm, rule
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, at_step, mm, rule
 from planner.proof.setups import Asked, all_asked, one_line, shown_letters, stays
 from planner.tooling import Tool as WantedTool
 

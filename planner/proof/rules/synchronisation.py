@@ -30,11 +30,12 @@ from planner.programs.steps import (
     Step,
     single,
 )
-from planner.proof.context import Context, Outcome, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.external_axes import outer_values, slid
 from planner.proof.kinematics.inverse_kinematics import select_by_status
 from planner.proof.replay.moves import flange_at, solutions
+from planner.proof.rule import Outcome, at_step, mm, rule
 
 _SAME_PLACE = 1e-5
 """A move whose TCP goes no farther [m] turns only."""

@@ -24,7 +24,8 @@ from planner.programs.job import TRAJECTORY, speaks_trajectories, task_names
 from planner.programs.stages import JobText, TaskText
 from planner.programs.steps import DIGEST, Fault, MoveStep
 from planner.programs.text import changed, strange
-from planner.proof.context import Context, Outcome, rule, target
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, rule, target
 from planner.proof.rules import synchronisation
 
 _RAPID_TARGET = re.compile(

@@ -16,9 +16,10 @@ from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep
-from planner.proof.context import Context, Outcome, at_node, at_sample, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, outer_axes
 from planner.proof.replay.motion import differences
+from planner.proof.rule import Outcome, at_node, at_sample, mm, rule
 
 _CODE = "verify.track_along"
 """Code of the rule."""

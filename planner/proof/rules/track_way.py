@@ -21,8 +21,9 @@ from planner.issues import Issue
 from planner.problem import END, PLATE, STOCK, TILT, Arm, Cell, Setup, Turntable
 from planner.programs.steps import MOST_OUTER
 from planner.proof.clearance.lines_apart import SAME_WAY, nearer, reach, round_about, slides, standing
-from planner.proof.context import Context, Outcome, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, floor_of, moved_on, outer_axes, slid
+from planner.proof.rule import Outcome, mm, rule
 from planner.proof.rules.clearance import of_one_arm
 from planner.proof.rules.external_axes import clamped, off_place, spun
 from planner.proof.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION

@@ -21,8 +21,9 @@ from planner.programs.handshake.automata import Reading
 from planner.programs.stages import Stage, TaskText, sync_points
 from planner.programs.steps import ChoiceStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
-from planner.proof.context import Context, Outcome, at_node, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.replay.moves import between, dwell_time
+from planner.proof.rule import Outcome, at_node, at_step, mm, rule
 
 POWER_IDLE = "verify.power_idle"
 """Code of the rule about power before anything moves."""

@@ -7,7 +7,8 @@ import trimesh
 
 from planner.geometry.rulings import tessellate
 from planner.geometry.wing import naca
-from planner.proof.part_files import UnreadError, comparison, pose
+from planner.processes.forming.proof import made_sheet
+from planner.proof.part_files import UnreadError, pose
 from planner.proof.part_files.sheets import sheet_face
 from planner.proof.part_files.surfaces import stated
 from tests.proof.part_files.part_files import HIGH, LOW, absolute, grid_obj, hills
@@ -41,7 +42,7 @@ def held(said, folder, here=HERE, near=NEAR):
         for surface in fits:
             for own in surface.samples:
                 places = own.moved(pose(here))
-                off = comparison.off_mesh(places.points, solids[name].vertices, solids[name].faces)
+                off = made_sheet.off_mesh(places.points, solids[name].vertices, solids[name].faces)
                 if off.max() < best:
                     best, nearest, seen = float(off.max()), surface, places
         assert best < near, (name, best)

@@ -28,9 +28,10 @@ from planner.processes.milling.claims import SafeWays, SparesPart
 from planner.processes.poses.claims import FollowsPoses, FollowsTable
 from planner.programs.stages import TaskText
 from planner.programs.steps import JointTarget, MoveStep, PassedTarget, poses
-from planner.proof.context import Context, Outcome, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
 from planner.proof.replay.moves import ACCURACY, ACCURACY_TURN
+from planner.proof.rule import Outcome, at_step, mm, rule
 from planner.proof.rules.robot_motion import TCP_SLACK
 
 SPLINE: Final = "verify.spline"

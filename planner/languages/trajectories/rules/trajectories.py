@@ -28,12 +28,13 @@ from planner.problem import Stock
 from planner.programs.dialogue_text import on_panel
 from planner.programs.stages import TaskText
 from planner.programs.steps import PassedTarget
-from planner.proof.context import Context, Outcome, at_sample, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.kinematics.arm_model import machine_of
 from planner.proof.replay.driven_speed import settling_share
 from planner.proof.replay.moves import cubic, driven_knots
 from planner.proof.replay.tool_speeds import SLOW, tool_speeds
 from planner.proof.replay.tool_speeds import STANDS as STANDS_STILL
+from planner.proof.rule import Outcome, at_sample, at_step, mm, rule
 from planner.proof.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR, MASS_ERROR
 
 SAME_POSTURE: Final = 1e-9

@@ -18,7 +18,8 @@ from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.processes.forming.proof.level import OneLevel
 from planner.processes.forming.proof.state import Formed, Forming
-from planner.proof.context import Context, at_sample
+from planner.proof.context import Context
+from planner.proof.rule import at_sample
 
 SPACING = 1e-3
 """Places of a way at which walls are looked at are so far apart [m] at most."""

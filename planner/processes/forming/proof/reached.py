@@ -19,7 +19,7 @@ from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.proof.state import Formed, Track
 from planner.processes.forming.proof.swept import walls
-from planner.processes.hotwire.proof.cut_surface import areas, divided
+from planner.proof.faces import areas, divided
 
 Depths = tuple[FloatArray, IntArray]
 """How deep [m] a tool is where nothing lets it be, and at which rows of its track."""

@@ -21,7 +21,7 @@ from planner.geometry.units import MM
 from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.proof.face import Face, apart, least_gap
 from planner.processes.forming.proof.state import ByRow, Formed, Forming
-from planner.processes.hotwire.proof.cut_surface import areas, divided, vertex_normals
+from planner.proof.faces import areas, divided, vertex_normals
 from planner.proof.replay.motion import Runs
 from planner.proof.verdict import CutFace
 

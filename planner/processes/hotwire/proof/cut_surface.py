@@ -23,18 +23,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
-from planner.geometry.mesh import small_pieces
-from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings
+from planner.proof.faces import areas, quarter_triangles, vertex_normals
 from planner.proof.verdict import CutFace
 
 SAMPLE_EDGE = 0.005
 """Largest edge of the triangles that the wanted face is sampled with [m]."""
 SAMPLE_SHARE = 1.0 / 3000.0
 """No sample stands for a larger share of its face."""
-MOST_PIECES = 4_000_000
-"""Pieces of a face at most, where it has to be looked at all over."""
 MOST_SAMPLES = 60_000
 """Samples of the wanted face at most."""
 RULING_SPACING = 0.010
@@ -116,22 +112,16 @@ def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, Floa
         large = edge > SAMPLE_EDGE
         if not large.any() or len(corners) + 3 * int(large.sum()) > MOST_SAMPLES:
             break
-        corners = np.concatenate([corners[~large], _quartered(corners[large])])
-        smooth = np.concatenate([smooth[~large], _quartered(smooth[large])])
+        corners = np.concatenate([corners[~large], quarter_triangles(corners[large])])
+        smooth = np.concatenate([smooth[~large], quarter_triangles(smooth[large])])
     most = SAMPLE_SHARE * float(areas(corners).sum())
     # where a mesh is dense in one place, what is large in another is divided all the same
     while (large := areas(corners) > most).any():
-        corners = np.concatenate([corners[~large], _quartered(corners[large])])
-        smooth = np.concatenate([smooth[~large], _quartered(smooth[large])])
+        corners = np.concatenate([corners[~large], quarter_triangles(corners[large])])
+        smooth = np.concatenate([smooth[~large], quarter_triangles(smooth[large])])
     normals = smooth.mean(axis=1)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     return corners.mean(axis=1), normals, areas(corners)
-
-
-def areas(corners: FloatArray) -> FloatArray:
-    """Areas (T,) [m^2] of triangles (T, 3, 3) [m]."""
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
 
 
 def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> tuple[FloatArray, FloatArray]:
@@ -336,44 +326,9 @@ def _facings(sheet: Sweep) -> FloatArray:
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-15))
 
 
-def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Unit normals (V, 3) at the vertices of a mesh, weighted by area."""
-    corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(normals, faces[:, k], cross)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
-
-
 def _flat(corners: FloatArray) -> FloatArray:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30))
-
-
-def _quartered(corners: FloatArray) -> FloatArray:
-    """Four triangles of each, by the middles of its edges."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.concatenate([np.stack(part, axis=1) for part in parts])
-
-
-def divided(corners: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
-    """Triangles (T, 3, 3) in pieces (P, 3, 3) none of which has an edge longer than ``size`` [m], and the
-    triangle (P,) of each. Raises ``TandemError`` where that is more than can be looked at: nothing is proven
-    of a face that is looked at here and there."""
-    parts, owner = small_pieces(corners, size, MOST_PIECES)
-    # edge by edge: pieces of a face are a lot of memory
-    edges = (parts[:, k] - parts[:, k - 1] for k in range(3))
-    longest = max(float(np.linalg.norm(edge, axis=1).max(initial=0.0)) for edge in edges)
-    if longest > size * (1.0 + 1e-9):
-        what = (
-            f"a face has so many long, thin facets that pieces of {size / MM:.2f} mm are over {MOST_PIECES}; "
-        )
-        what += "export it with facets of even shape"
-        raise TandemError(Issue("verify.duration", what, value=float(len(parts)), limit=float(MOST_PIECES)))
-    return parts, owner
 
 
 PLACE_STEP: Final = 5e-5

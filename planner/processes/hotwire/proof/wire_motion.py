@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, log_rotation
 from planner.problem import Stock
 from planner.processes.hotwire.claims import StraightWire, WireJoins
+from planner.processes.hotwire.proof.mounting import Phase
 from planner.processes.hotwire.proof.rod import Rod, RodError, RodPath, follow, mount
-from planner.proof.context import Context, Phase
+from planner.proof.context import Context
 
 ROD_SEGMENTS = 64
 """Segments of the rod that stands for a wire."""

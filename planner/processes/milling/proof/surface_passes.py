@@ -15,10 +15,10 @@ import dataclasses
 
 import numpy as np
 import shapely
-from scipy.sparse import csr_array
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import BoolArray, FloatArray
 from planner.processes.milling.claims import MillsFlank, MillsOver
+from planner.proof.part_files.plan_face import Laid
 from planner.tooling import Cutter
 
 SAMPLES_TOGETHER = 400
@@ -268,77 +268,6 @@ def _angle(axis: FloatArray, other: FloatArray) -> FloatArray:
     """Angles (T,) [rad] between axes; by the chord, which is exact for small ones."""
     chord = np.linalg.norm(axis - other, axis=1)
     return np.asarray(2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0)))
-
-
-CREASE_COSINE = np.cos(np.deg2rad(20.0))
-"""Cosine of the angle (20 degrees) at an edge between triangles from which on it is a crease, across which
-no normal is smoothed."""
-PLAN_ROUNDING = 1e-6
-"""Places this near to a triangle [m] in plan are on it."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Places:
-    """Of N places: ``point``, ``normal`` (N, 3), NaN where the face is not."""
-
-    point: FloatArray
-    normal: FloatArray
-
-
-class Laid:
-    """A face ``vertices`` (V, 3) [m], ``faces`` (F, 3) that looks up; its highest place counts."""
-
-    def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
-        self.corners = vertices[faces]
-        self._normals = smooth_normals(self.corners, faces)
-        rings = np.concatenate([self.corners, self.corners[:, :1]], axis=1)[..., :2]
-        self._tree = shapely.STRtree(shapely.polygons(rings))
-        edge_a, edge_b = (self.corners[:, k, :2] - self.corners[:, 0, :2] for k in (1, 2))
-        twice = edge_a[:, 0] * edge_b[:, 1] - edge_a[:, 1] * edge_b[:, 0]
-        flat = np.abs(twice) < 1e-18
-        self._edges = edge_a, edge_b
-        self._twice = np.where(flat, np.inf, twice)
-
-    def at(self, xy: FloatArray) -> Places:
-        """The places over ``xy`` (N, 2) [m]."""
-        point, normal = np.full((len(xy), 3), np.nan), np.full((len(xy), 3), np.nan)
-        row, triangle = self._tree.query(shapely.points(xy), predicate="dwithin", distance=PLAN_ROUNDING)
-        rest = xy[row] - self.corners[triangle, 0, :2]
-        a, b = self._edges[0][triangle], self._edges[1][triangle]
-        second = (rest[:, 0] * b[:, 1] - rest[:, 1] * b[:, 0]) / self._twice[triangle]
-        third = (a[:, 0] * rest[:, 1] - a[:, 1] * rest[:, 0]) / self._twice[triangle]
-        weight = np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
-        weight /= weight.sum(axis=1, keepdims=True)
-        height = np.einsum("nk,nk->n", weight, self.corners[triangle, :, 2])
-        order = np.argsort(height, kind="stable")  # the highest is written last
-        row, triangle, weight = row[order], triangle[order], weight[order]
-        point[row] = np.column_stack([xy[row], height[order]])
-        mixed = np.einsum("nk,nkd->nd", weight, self._normals[triangle])
-        normal[row] = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
-        return Places(point, normal)
-
-
-def smooth_normals(corners: FloatArray, faces: IntArray) -> FloatArray:
-    """Unit normals (F, 3, 3) at the corners of triangles (F, 3, 3): the mean of the normals around the vertex
-    by their angles there, without those beyond a crease."""
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
-    angles = np.empty(faces.shape)
-    for k in range(3):
-        one, two = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        sine = np.linalg.norm(np.cross(one, two), axis=1)
-        angles[:, k] = np.arctan2(sine, (one * two).sum(axis=1))
-    count = faces.size
-    at = csr_array((np.ones(count), (np.arange(count), faces.ravel())), shape=(count, int(faces.max()) + 1))
-    pair = (at @ at.T).tocoo()
-    mine, other = pair.row, pair.col
-    kept = (flat[mine // 3] * flat[other // 3]).sum(axis=1) > CREASE_COSINE
-    kept |= mine == other
-    mine, other = mine[kept], other[kept]
-    weighed = csr_array((angles.ravel()[other], (mine, other // 3)), shape=(count, len(faces)))
-    out = weighed @ flat
-    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
-    return np.asarray(out.reshape(-1, 3, 3))
 
 
 CONTACT_ROUNDS = 4

@@ -12,15 +12,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from planner.claims import sentences
 from planner.claims.claim import Claim, FeedWindow
 from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue, question_step
-from planner.claims.drawn_curve import DrawnCurve
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
@@ -29,8 +26,14 @@ from planner.processes.milling.claims import Engraves, MillsAlong, MillsProgram,
 from planner.processes.milling.proof import gcode_moves
 from planner.processes.milling.proof.gcode_lines import UnreadableError
 from planner.processes.milling.proof.gcode_moves import Way
-from planner.processes.milling.proof.surface_passes import Laid, Places
-from planner.proof.part_files import UNITS, UnreadError, curves, rhino
+from planner.proof.part_files.drawn_curves import (
+    CORNERED_KINDS,
+    MILLIMETRE,
+    NotThereError,
+    each_curve,
+    points,
+)
+from planner.proof.part_files.plan_face import Laid, Places
 from planner.proof.setups import MILL
 from planner.tooling import Cutter
 
@@ -183,23 +186,11 @@ def program_segments(program: MillsProgram, own: Pass) -> Iterator[Claim]:
     yield up(safe, segment, program.arm, way.tip[-1], way.axis[-1], *bounds)
 
 
-MILLIMETRE = 1e-3
-"""One millimetre in metres."""
 CURVE_SPACING = 0.25e-3
 """Distance [m] of the places at which a curve is laid on the face; what a tool leans along is the chord
 between the two beside a place."""
-SPLINE_PLACES = 4000
-"""Places on a spline."""
-CORNERED_KINDS = ("polyline", "dxf", "rhino")
-"""Kinds of curves whose corners are meant."""
 UPRIGHT_ANGLE = 1e-3
 """A flat end that leans off the normal by less than this [rad] touches with its middle."""
-SAME_POINT = 1e-9
-"""Points of a curve nearer to each other than this [m] are one."""
-
-
-class NotThereError(ValueError):
-    """A curve that cannot be laid on the face."""
 
 
 def engraved_segments(claim: Engraves) -> Iterator[Claim]:
@@ -231,71 +222,6 @@ def _ways(claim: Engraves, face: Laid, number: int, curve: FloatArray) -> tuple[
         down(claim.safe, *segment, tip[0], axis[0], *bounds),
         up(claim.safe, *segment, tip[-1], axis[-1], *bounds),
     )
-
-
-def points(drawn: DrawnCurve) -> tuple[FloatArray, bool]:
-    """Points (N, 3) [m] of a curve, of a polyline its own, of a spline many; and whether it may as well be
-    run the other way, as a drawing does not say it of what is drawn in pieces. Raises ``NotThereError``."""
-    if drawn.file is not None:
-        return _of_file(drawn, drawn.file)
-    given = np.array(drawn.points_mm, dtype=np.float64) * MILLIMETRE
-    if drawn.kind == "polyline":
-        apart = np.linalg.norm(np.diff(given, axis=0), axis=1) > SAME_POINT
-        return given[np.append(True, apart)], False
-    count = len(given)
-    degree = count - 1 if drawn.kind == "bezier" else min(3, count - 1)
-    inner = np.arange(1, count - degree) / (count - degree)
-    knots = np.concatenate([np.zeros(degree + 1), inner, np.ones(degree + 1)])
-    return np.asarray(BSpline(knots, given, degree)(np.linspace(0.0, 1.0, SPLINE_PLACES + 1))), False
-
-
-def _of_file(drawn: DrawnCurve, file: Path) -> tuple[FloatArray, bool]:
-    """The only curve of a drawing; one that is closed ends where it began."""
-    try:
-        found = curves_of(drawn)
-    except UnreadError as error:
-        raise NotThereError(f"{file}: {error}") from error
-    if len(found) != 1:
-        raise NotThereError(f"{file} holds {len(found)} curves, wanted is one")
-    out = _run(found[0])
-    if drawn.z_mm is not None:
-        out[:, 2] = drawn.z_mm * MILLIMETRE
-    return out, found[0].pieces > 1
-
-
-def _run(found: curves.Drawn) -> FloatArray:
-    points = found.points
-    return np.concatenate([points, points[:1]]) if found.closed else points.copy()
-
-
-def curves_of(drawn: DrawnCurve) -> list[curves.Drawn]:
-    """The curves of a file that one of its words stands for, layer by layer. Raises `UnreadError`."""
-    if drawn.file is None:
-        raise UnreadError("no file is named")
-    out: list[curves.Drawn] = []
-    for layer in drawn.layers or (drawn.layer,):
-        if drawn.kind == "rhino":
-            chosen = {"layer": layer, "name": drawn.name, "colour": drawn.colour}
-            out += rhino.read_curves({"file": drawn.file, "unit": drawn.unit or None, **chosen})
-        else:
-            out += curves.read_curves(drawn.file, UNITS[drawn.unit], layer)
-    return out
-
-
-def each_curve(drawn: tuple[DrawnCurve, ...]) -> tuple[DrawnCurve, ...]:
-    """Curves, those of drawings as polylines one by one. Raises ``NotThereError``."""
-    out: list[DrawnCurve] = []
-    for one in drawn:
-        if not one.layers:
-            out.append(one)
-            continue
-        try:
-            found = curves_of(one)
-        except UnreadError as error:
-            raise NotThereError(f"{one.file}: {error}") from error
-        rows = [(_run(curve) / MILLIMETRE).tolist() for curve in found]
-        out += [DrawnCurve("polyline", tuple(map(tuple, points))) for points in rows]
-    return tuple(out)
 
 
 def tool_along(claim: Engraves, face: Laid, number: int, curve: FloatArray) -> tuple[FloatArray, FloatArray]:

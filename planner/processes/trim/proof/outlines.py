@@ -20,11 +20,11 @@ from planner.claims.drawn_curve import DrawnCurve
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue
-from planner.processes.milling.proof.surface_passes import Laid
-from planner.processes.milling.proof.wanted_ways import NotThereError, curves_of, points
 from planner.processes.trim.claims import TrimOutline, TrimsSheet, slot_names
 from planner.processes.trim.proof.rough_face import levelled, noise_turn
 from planner.proof.part_files import UnreadError
+from planner.proof.part_files.drawn_curves import NotThereError, curves_of, points
+from planner.proof.part_files.plan_face import Laid
 from planner.proof.part_files.sheets import sheet_face, tolerance_of
 
 TRIM = "trim"

@@ -16,11 +16,12 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.issues import Issue
 from planner.processes.forming.proof.state import Forming
-from planner.processes.milling.proof.tool_motion import Milling, Track
+from planner.processes.milling.proof.tool_motion import Milling
 from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.processes.trim.proof.outlines import TRIM, Curve, Feet, SheetSide
 from planner.proof.context import Context
 from planner.proof.part_files import UnreadError
+from planner.proof.replay.tool_track import Track
 from planner.tooling import Torch
 
 SIGHT = 20e-3

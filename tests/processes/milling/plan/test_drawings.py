@@ -15,7 +15,7 @@ from planner.issues import TandemError
 from planner.processes import registry
 from planner.processes.milling.plan import point_cut
 from planner.processes.milling.plan.operation import EngraveCut
-from planner.processes.milling.proof.wanted_ways import each_curve
+from planner.proof.part_files.drawn_curves import each_curve
 from planner.reading import problem as problem_file
 from planner.reading import rhino
 from tests.processes.milling.plan import small_mill

@@ -13,9 +13,9 @@ import planner
 from planner.geometry.arrays import FloatArray
 from planner.processes import registry
 from planner.processes.milling.proof import following, tool_motion
-from planner.processes.milling.proof.tool_motion import Track, _with_bends
 from planner.proof.prove import Prover
 from planner.proof.replay import moves, playback
+from planner.proof.replay.tool_track import Track, _with_bends
 from tests.test_sharp_turns import ABB, CELLS, KUKA, MILLED
 
 PHASES = np.linspace(3.7e-3, 4.3e-3, 12)

@@ -23,7 +23,8 @@ from planner.processes.milling.plan import point_cut
 from planner.processes.milling.plan.job import MillingJob
 from planner.processes.milling.proof import wanted_ways
 from planner.processes.milling.proof.following import follow
-from planner.processes.milling.proof.surface_passes import Laid
+from planner.proof.part_files import drawn_curves
+from planner.proof.part_files.plan_face import Laid
 from planner.proof.prove import Prover
 from planner.proof.verdict import Proof
 from planner.tooling import Cutter
@@ -109,7 +110,7 @@ def test_a_ball_on_a_ball_is_at_the_radius_less_the_depth() -> None:
     safe: Any = None
     bounds = (0.02, safe, 1e-4, 0.01)
     claim = Engraves("a", "r", cutter, drawn, vertices, faces, 1e-3, "normal", (), 0.0, 0.0, *bounds)
-    tip, axis = wanted_ways.tool_along(claim, Laid(vertices, faces), 0, wanted_ways.points(drawn[0])[0])
+    tip, axis = wanted_ways.tool_along(claim, Laid(vertices, faces), 0, drawn_curves.points(drawn[0])[0])
     np.testing.assert_allclose(np.linalg.norm(tip, axis=1), 0.199, atol=1.2e-5)
     assert np.degrees(np.arccos(np.clip((axis * tip).sum(axis=1) / 0.199, -1, 1))).max() < 0.3
 

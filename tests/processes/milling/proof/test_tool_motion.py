@@ -15,11 +15,12 @@ from planner.processes.forming.proof import face as forming_face
 from planner.processes.forming.proof.face import Face, left_by
 from planner.processes.forming.proof.rules.tool import _places
 from planner.processes.hotwire.proof import cut_surface
-from planner.processes.hotwire.proof.cut_surface import divided, sample_face
+from planner.processes.hotwire.proof.cut_surface import sample_face
 from planner.processes.milling.plan import check
 from planner.processes.milling.proof import tool_motion
 from planner.processes.milling.proof.rules import cutter
 from planner.processes.milling.proof.tool_motion import Solid, near_places, rim_size, round_size, sweep
+from planner.proof.faces import divided
 from tests.processes.milling.plan.small_mill import WALL, problem
 from tests.remedies.advice import Said
 

@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 from planner.claims.claim import SparesPart
 from planner.claims.segments import Segment
 from planner.processes.milling.proof.rules.cutter import _GOUGE_SPACING, _held, _insides, _step, mill_gouge
-from planner.processes.milling.proof.tool_motion import BEND_SHARE, Milling, Track, insides, signed, solids
+from planner.processes.milling.proof.tool_motion import BEND_SHARE, Milling, insides, signed, solids
+from planner.proof.replay.tool_track import Track
 from planner.runtime.executor import SERIAL
 from planner.tooling import Cutter
 

@@ -33,7 +33,8 @@ from planner.processes.forming.proof import accumulative
 from planner.processes.forming.proof.face import CREASE_ANGLE
 from planner.processes.forming.proof.shapes import FLAT_NOISE, Feature, PartShapes, Shape, spread_over
 from planner.processes.forming.proof.state import Forming
-from planner.proof.context import Context, Outcome, mm, rule
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, mm, rule
 
 FORMING_CLAIMS = "verify.forming_claims"
 """Code of this rule."""

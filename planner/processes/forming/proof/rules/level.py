@@ -17,7 +17,8 @@ from planner.processes.forming.claims import FormsLevel, FormsSheet
 from planner.processes.forming.proof import loop_walls, springback_file
 from planner.processes.forming.proof.level import OneLevel
 from planner.processes.forming.proof.state import Formed, Forming
-from planner.proof.context import Context, Outcome, at_sample, mm, rule
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, at_sample, mm, rule
 
 CODE = "verify.level"
 """Code of this rule."""

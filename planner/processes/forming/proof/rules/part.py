@@ -16,8 +16,9 @@ from planner.issues import Issue
 from planner.processes.forming.claims import FormsPart, FormsSheet
 from planner.processes.forming.proof.shapes import Feature, PartShapes, Shape, in_order
 from planner.processes.forming.proof.state import Forming
-from planner.proof.context import Context, Outcome, mm, rule
+from planner.proof.context import Context
 from planner.proof.part_files.sheets import SLOPE_STEP, scatter, together, tolerance_of
+from planner.proof.rule import Outcome, mm, rule
 
 FORMING_PART = "verify.forming_part"
 """Code of this rule."""

@@ -35,7 +35,8 @@ from planner.processes.forming.proof.shapes import PartShapes
 from planner.processes.forming.proof.springback_bounds import STEP, FilePass
 from planner.processes.forming.proof.springback_file import Control, Measured, Way
 from planner.processes.forming.proof.state import Forming
-from planner.proof.context import Context, Outcome, at_sample, mm, rule
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, at_sample, mm, rule
 from planner.tooling import FormingTool
 
 CODE = "verify.springback"

@@ -29,8 +29,9 @@ from planner.processes.forming.proof.reached import Depths, largest_step, on_way
 from planner.processes.forming.proof.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
 from planner.processes.forming.proof.steps_down import LOOP_SHARE, emptiest
 from planner.processes.forming.proof.swept import Head, HeadWay, Inside, insides, least, levels
-from planner.processes.hotwire.proof.cut_surface import divided
-from planner.proof.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.proof.context import Context
+from planner.proof.faces import divided
+from planner.proof.rule import FEED_SLACK, Outcome, at_node, at_sample, mm, rule
 from planner.proof.verdict import CutFace
 from planner.runtime.executor import Executor
 from planner.runtime.memory import release_memory

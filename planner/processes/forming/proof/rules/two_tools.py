@@ -25,7 +25,8 @@ from planner.processes.forming.proof.state import (
     Track,
     pieces,
 )
-from planner.proof.context import Context, Outcome, at_sample, mm, rule
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, at_sample, mm, rule
 
 LOOK_TURN = np.deg2rad(0.5)
 """How far [rad] a tool turns at most between two looks at it."""

@@ -20,8 +20,9 @@ from planner.processes.hotwire.proof.rules.wire import wire_issue
 from planner.processes.hotwire.proof.slits import in_slit, slits
 from planner.processes.hotwire.proof.walls import PartWalls, taken_by_bent, taken_depth, walls
 from planner.processes.hotwire.proof.wire_motion import Wire, end_error, to_block
-from planner.proof.context import Context, Outcome, at_node, at_sample, mm, rule
+from planner.proof.context import Context
 from planner.proof.replay.motion import during, local
+from planner.proof.rule import Outcome, at_node, at_sample, mm, rule
 from planner.proof.verdict import CutFace
 
 

@@ -18,8 +18,9 @@ from planner.processes.hotwire.proof.cut_surface import unreached
 from planner.processes.hotwire.proof.rules.wire import wire_issue
 from planner.processes.hotwire.proof.slits import SLIT_ROUNDING, Slit, off_lead, slits, way_in
 from planner.processes.hotwire.proof.wire_motion import Wire
-from planner.proof.context import FEED_SLACK, Context, Outcome, mm, rule
+from planner.proof.context import Context
 from planner.proof.replay.motion import during, local
+from planner.proof.rule import FEED_SLACK, Outcome, mm, rule
 from planner.proof.verdict import CutFace
 from planner.tooling import Bow, Tool
 

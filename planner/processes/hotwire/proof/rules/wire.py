@@ -16,14 +16,16 @@ from planner.issues import Issue
 from planner.languages.trajectories.rules import trajectories
 from planner.processes.forming.claims import SinksHolder
 from planner.processes.hotwire.claims import WireJoins
+from planner.processes.hotwire.proof.mounting import Phase
 from planner.processes.hotwire.proof.wire_motion import Wire, end_distances
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.job import controllers
 from planner.programs.stages import TaskText
 from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
-from planner.proof.context import FEED_SLACK, Context, Outcome, Phase, at_sample, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.replay.motion import steps_across
 from planner.proof.replay.tool_speeds import LEAST_PART, STANDS, tool_speeds
+from planner.proof.rule import FEED_SLACK, Outcome, at_sample, at_step, mm, rule
 
 MOST_RESIDUAL = 1e-6
 """A wire's shape is in balance where no residual of its equations is larger than this."""

@@ -17,7 +17,6 @@ from planner.claims.claim import ContactOnlyIn, FeedWindow
 from planner.claims.segments import Phase, Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
-from planner.processes.hotwire.proof.cut_surface import divided
 from planner.processes.milling.claims import (
     Engraves,
     MillsAlong,
@@ -38,7 +37,6 @@ from planner.processes.milling.proof.tool_motion import (
     Inside,
     Milling,
     Solid,
-    Track,
     comes_near,
     edges,
     in_block,
@@ -48,7 +46,10 @@ from planner.processes.milling.proof.tool_motion import (
     sweep,
 )
 from planner.processes.trim.claims import TrimsSheet
-from planner.proof.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.proof.context import Context
+from planner.proof.faces import divided
+from planner.proof.replay.tool_track import Track
+from planner.proof.rule import FEED_SLACK, Outcome, at_node, at_sample, mm, rule
 from planner.proof.setups import MILL
 from planner.proof.verdict import CutFace
 from planner.runtime.executor import SERIAL

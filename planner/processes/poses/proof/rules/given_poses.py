@@ -13,8 +13,9 @@ from planner.issues import Issue
 from planner.processes.poses.claims import FollowsPoses, FollowsTable, FreeAxis
 from planner.processes.poses.proof import pose_passing
 from planner.processes.poses.proof.pose_passing import Passing, PoseTable, Way, passing, slow_places, values
-from planner.proof.context import FEED_SLACK, Context, Outcome, mm, rule
+from planner.proof.context import Context
 from planner.proof.replay.tool_speeds import peaks
+from planner.proof.rule import FEED_SLACK, Outcome, mm, rule
 
 FEED_ROUNDING: Final = 1.002
 """Moves may be faster than the feed by this factor: their times are rounded."""

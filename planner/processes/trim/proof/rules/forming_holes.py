@@ -20,8 +20,9 @@ from planner.processes.forming.proof.shapes import PartShapes, Shape
 from planner.processes.forming.proof.state import Formed, Forming, pieces
 from planner.processes.trim.claims import TrimOutline, TrimsSheet
 from planner.processes.trim.proof.outlines import drawn, winding
-from planner.proof.context import Context, Outcome, at_sample, mm, rule
+from planner.proof.context import Context
 from planner.proof.part_files import UnreadError
+from planner.proof.rule import Outcome, at_sample, mm, rule
 
 FORMING_HOLES = "verify.forming_holes"
 """Code of this rule."""

@@ -24,7 +24,8 @@ from planner.processes.trim.proof.rules.mill import (
 )
 from planner.processes.trim.proof.rules.slots import ANGLE_ERROR, ISSUES_SHOWN, NOTHING_TRIMMED, every
 from planner.processes.trim.proof.torch_motion import PLACE_ERROR, Trimming, TrimWork
-from planner.proof.context import Context, Outcome, mm, rule
+from planner.proof.context import Context
+from planner.proof.rule import Outcome, mm, rule
 
 KNIFE = "verify.trim_knife"
 """Code of the rule."""

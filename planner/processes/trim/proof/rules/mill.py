@@ -19,7 +19,8 @@ from planner.processes.trim.claims import TrimCutter, TrimsSheet
 from planner.processes.trim.proof.outlines import TRIM, Curve
 from planner.processes.trim.proof.rules.slots import ANGLE_ERROR, ISSUES_SHOWN, NOTHING_TRIMMED, every
 from planner.processes.trim.proof.torch_motion import PLACE_ERROR, Trimming, TrimWork, Way, behind, cylinder
-from planner.proof.context import FEED_SLACK, Context, Outcome, at_sample, mm, rule
+from planner.proof.context import Context
+from planner.proof.rule import FEED_SLACK, Outcome, at_sample, mm, rule
 
 MILL, SPINDLE = "verify.trim_mill", "verify.trim_spindle"
 """Codes of the rules."""

@@ -34,8 +34,9 @@ from planner.processes.trim.proof.torch_motion import (
 from planner.programs.stages import TaskText
 from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
-from planner.proof.context import FEED_SLACK, Context, Outcome, at_sample, at_step, mm, rule
+from planner.proof.context import Context
 from planner.proof.part_files import UnreadError
+from planner.proof.rule import FEED_SLACK, Outcome, at_sample, at_step, mm, rule
 from planner.tooling import Knife, Mill, Torch
 
 NOTHING_TRIMMED = "nothing is trimmed"
