@@ -19,7 +19,10 @@ from planner.cell.plant import CellModel, build
 from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
+from planner.languages.krl.rules import moves as rules_moves
 from planner.languages.krl.rules import spline
+from planner.languages.rapid.rules import confdata
+from planner.languages.rapid.rules import settings as rules_settings
 from planner.languages.trajectories.rules import trajectories
 from planner.problem import TILT, Problem, Settings, setups_of
 from planner.processes.forming.proof import swept
@@ -27,7 +30,8 @@ from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.rules import claims as forming_claims
 from planner.processes.forming.proof.rules import level, part, springback, tool, two_tools
 from planner.processes.forming.proof.state import Forming, Left, begun_faces
-from planner.processes.hotwire.proof.rules import cut_part, straight_wire, wire
+from planner.processes.hotwire.proof.rules import clearance as rules_clearance
+from planner.processes.hotwire.proof.rules import cut_part, dialogue_figures, straight_wire, wire, wire_alone
 from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.processes.hotwire.proof.wire_motion import wires as all_wires
 from planner.processes.milling.proof import wanted_ways
@@ -52,7 +56,9 @@ from planner.proof.rules import (
     external_axes,
     handshake,
     moves,
+    order,
     part_file,
+    power,
     robot_motion,
     setups_and_frames,
     synchronisation,
@@ -88,10 +94,10 @@ TASK_RULES: _RuleTable = (
     synchronisation.sync_order,
     handshake.handshake,
     waiting_time.meeting_time,
-    moves.error_handler,
-    moves.undo,
-    moves.motion_settings,
-    moves.hidden,
+    rules_settings.error_handler,
+    rules_settings.undo,
+    rules_settings.motion_settings,
+    rules_settings.hidden,
     controller_files.cell_check,
     controller_files.controller_files,
     trajectories.start_posture,
@@ -108,16 +114,16 @@ STAGE_RULES: _RuleTable = (
     synchronisation.move_time,
     synchronisation.speed_data,
     synchronisation.arms_alone,
-    synchronisation.wire_alone,
+    wire_alone.wire_alone,
     synchronisation.stop_before_logic,
-    wire.signals,
+    power.signals,
     setups_and_frames.tool_data,
     setups_and_frames.work_object,
     setups_and_frames.held_frame,
     setups_and_frames.load,
     setups_and_frames.base_frames,
     block_support.rests,
-    synchronisation.status,
+    rules_moves.status,
     moves.move_kinds,
     external_axes.external_axes,
     moves.unknown_start,
@@ -131,7 +137,7 @@ MOTION_RULES: _RuleTable = (
     arm_sag.sag,
     robot_motion.corners,
     robot_motion.continuity,
-    robot_motion.confdata,
+    confdata.confdata,
     robot_motion.joint_limits,
     robot_motion.rod_limits,
     robot_motion.joint_speed,
@@ -142,7 +148,7 @@ MOTION_RULES: _RuleTable = (
     trajectories.between_points,
     waiting_time.power_idle,
     given_poses.follows,
-    cut_part.order,
+    order.order,
 )
 """Rules about any motion."""
 WIRE_RULES: tuple[Rule[[Context, tuple[Wire, ...]], Outcome], ...] = (
@@ -152,7 +158,7 @@ WIRE_RULES: tuple[Rule[[Context, tuple[Wire, ...]], Outcome], ...] = (
     wire.contact,
     wire.stop_in_foam,
     wire.wire_power,
-    dialogue.message_figures,
+    dialogue_figures.message_figures,
     wire.feed,
     straight_wire.bow,
     straight_wire.rulings,
@@ -170,7 +176,7 @@ OTHER_RULES: tuple[Rule[..., Any], ...] = (
     clearance.own_bodies,
     clearance.step_apart,
     track_way.track_way,
-    clearance.wire_bodies,
+    rules_clearance.wire_bodies,
 )
 """Rules about any motion that ask the most time; another process may look at the last six of them."""
 FORMING_RULES: tuple[Rule[[Context, Forming], Outcome], ...] = (
@@ -397,7 +403,7 @@ class Prover:
         """What rules on wires find that ask the most time."""
         yield cut_part.part(context, wires)
         models = functools.cache(functools.partial(self.model, context))
-        yield clearance.wire_bodies(context, models, wires)
+        yield rules_clearance.wire_bodies(context, models, wires)
 
     def _physics(self, context: Context, run: _Run, left: Left) -> Iterator[None]:
         run.long = len(context.motion.time) > MOST_SENT_SAMPLES

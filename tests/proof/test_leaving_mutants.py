@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from planner.claims.claim import ContactOnlyIn
+from planner.languages.rapid.rules import settings
 from planner.languages.writing import write
 from planner.proof.context import Context
 from planner.proof.prove import Prover
-from planner.proof.rules import moves, waiting_time
+from planner.proof.rules import waiting_time
 from planner.targets import Action
 from tests import line_ends
 from tests.languages.krl import krl_job
@@ -203,7 +204,7 @@ def powered():
 
     def found(texts):
         context = Context(problem, claims, texts)
-        rules = (waiting_time.meeting_time, waiting_time.power_idle, moves.undo)
+        rules = (waiting_time.meeting_time, waiting_time.power_idle, settings.undo)
         return [issue.message for rule in rules for issue in rule(context).issues]
 
     return found, line_ends.bare(write.programs(plan, problem))

@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 
 from planner.cell import clearance
-from planner.cell.clearance import Against, Pairs, edge
+from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
 from planner.issues import Issue, TandemError
 from planner.problem import Settings
 from planner.processes.forming.claims import ToolGap
-from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.proof.clearance.samples import (
     DISTANCE_PRECISION,
     LEAST_STRIDE,
@@ -234,56 +233,6 @@ def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray
         touching |= {frozenset((f"{a}/edge", f"{b}/edge")) for a, b in itertools.combinations(heads, 2)}
         out.append((rows[(flags == flag).all(axis=1)], frozenset(touching)))
     return out
-
-
-@rule("verify.wire_clearance")
-def wire_bodies(
-    context: Context, models: Models, wires: tuple[Wire, ...]
-) -> tuple[Outcome, list[FloatArray]]:
-    """A bent wire keeps clear of everything, but of the stock only where it does not cut."""
-    issues: list[Issue] = []
-    series, least, where = [], np.inf, ""
-    limit = context.problem.settings.clearance
-    for wire in wires:
-        distance = np.full(len(wire.sample), np.nan)
-        series.append(distance)
-        if wire.path is None:
-            continue
-        cut = wire.cutting
-        groups: tuple[tuple[Against, IntArray], ...] = (
-            ("no_stock", np.flatnonzero(cut)),
-            ("all", np.flatnonzero(~cut)),
-        )
-        for against, chosen in groups:
-            if not len(chosen):
-                continue
-            rows = wire.sample[chosen]
-            found = edge(
-                models(wire.setup),
-                {arm: context.motion.links[arm][rows] for arm in wire.arms},
-                wire.world[chosen],
-                wire.radius,
-                NEAR_CLAMP,
-                against,
-            )
-            distance[chosen] = found.distance
-            for i in np.flatnonzero(~(found.distance >= accepted(limit))):
-                pair = found.pair[int(i)]
-                message = (
-                    f"the wire comes within {mm(found.distance[i]):.2f} mm of {' and '.join(pair)}; "
-                    f"allowed: {mm(limit):.2f} mm"
-                )
-                measure = (mm(found.distance[i]), mm(limit), "mm")
-                sample, arm = int(rows[i]), wire.arms[0]
-                issues.append(
-                    at_sample("verify.wire_clearance", message, context.motion, arm, sample, measure, pair)
-                )
-            k = found.worst()
-            if found.distance[k] < least:
-                least, where = float(found.distance[k]), " and ".join(found.pair[k])
-    if not np.isfinite(least):
-        return Outcome(tuple(issues), nothing="no bent wire"), series
-    return Outcome(tuple(issues), mm(least), mm(limit), "mm", where), series
 
 
 STEP_APART = "verify.step_apart"

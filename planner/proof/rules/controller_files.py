@@ -11,12 +11,9 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePosixPath
 
-import numpy as np
-
-from planner.geometry.arrays import inverse
 from planner.issues import Issue
 from planner.languages.krl.reader.lines import krl_lines
-from planner.languages.rapid import sentences as rapid_sentences
+from planner.languages.krl.rules import power_at_stops as rules_power_at_stops
 from planner.languages.rapid.reader.configuration import (
     Row,
     UnreadError,
@@ -25,26 +22,18 @@ from planner.languages.rapid.reader.configuration import (
     rapid_signals,
     rapid_words,
 )
-from planner.languages.rapid.reader.flow import CHECK_MODULE
-from planner.languages.rapid.reader.reader import masked
-from planner.languages.rapid.reader.syntax_tree import Instruction, Literal, ProcCall
 from planner.languages.rapid.rules import power_at_stops
+from planner.languages.rapid.rules.cell_check import check_faults
 from planner.languages.rapid.rules.power_at_stops import POWER_MODULE, config_row
-from planner.languages.urscript.reader.flow import LOOK_KIND
-from planner.languages.urscript.reader.reader import pose
-from planner.languages.urscript.reader.syntax_tree import CHECK_POINT, LOOK_ERROR
+from planner.languages.urscript.rules.robot_check import robot_check_faults
 from planner.problem import Controller
 from planner.processes.forming.claims import SinksHolder
 from planner.programs.job import controllers
 from planner.programs.stages import CONTROLLER, TaskText
-from planner.programs.steps import BASE_FRAME, SettingStep, SignalStep, Step
+from planner.programs.steps import SignalStep
 from planner.programs.text import Partner, strange
 from planner.proof.context import Context
-from planner.proof.kinematics import arm_model
-from planner.proof.kinematics.external_axes import OuterAxis, outer_axes
-from planner.proof.rule import Outcome, at_step, mm, rule
-from planner.proof.rules.external_axes import OFF_HOME
-from planner.proof.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
+from planner.proof.rule import Outcome, at_step, rule
 
 CONTROLLER_FILES = "verify.controller_files"
 """Code of the rule about files for the controllers."""
@@ -313,7 +302,7 @@ def _kuka(
     runs = "$PRO_ACT AND $PERI_RDY"
     watched, known = (partner.watched(runs), [partner.seen]) if partner else ([], [])
     runs += f" AND {partner.input}" if partner else ""
-    flags, submit, stopped = power_at_stops.krl_files(controller, arm, signals, lit, runs)
+    flags, submit, stopped = rules_power_at_stops.krl_files(controller, arm, signals, lit, runs)
     declared = [f"DECL BOOL {name}=FALSE" for name in [*flags, *known]]
     wanted = {"config_user.dat": declared, "sps_user.sub": [*watched, *submit]}
     if signals:
@@ -333,14 +322,6 @@ def _kuka(
 
 CELL_CHECK = "verify.cell_check"
 """Code of the rule about the comparison of the cell with the plan."""
-_BEFORE_CALL = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
-"""What may stand in main before the call."""
-_CHECK_HEAD = ["proc", "check_cell", "(", ")"]
-"""Words that the procedure begins with."""
-_AXES_HEAD = ["proc", "check_axes", "(", ")"]
-"""The same of that which looks where tracks and turntables are."""
-_DISTANCE, _TURN = 0.1, 0.02
-"""How far the controller's frames may be off the plan's [mm], [degrees]."""
 
 
 @rule("verify.cell_check")
@@ -352,228 +333,10 @@ def cell_check(context: Context) -> Outcome:
     issues: list[Issue] = []
     for task in context.job.tasks:
         if task.script is not None:
-            issues += [at_step(CELL_CHECK, fault, task, step) for step, fault in _looks(task)]
+            issues += [at_step(CELL_CHECK, fault, task, step) for step, fault in robot_check_faults(task)]
         if task.rapid:
             issues += [
                 Issue(CELL_CHECK, fault, arm=task.arm.name, file=file, hint="plan again; copy all modules")
-                for file, fault in _faults(context, task)
+                for file, fault in check_faults(context, task)
             ]
     return Outcome(tuple(issues))
-
-
-def _looks(task: TaskText) -> list[tuple[Step | None, str]]:
-    """What is wrong with the look of a URScript program at its arm, step by step."""
-    steps = [s for s in task.steps if isinstance(s, SettingStep) and s.kind == LOOK_KIND]
-    if len(steps) != 1:
-        return [
-            (None, f"the program looks {len(steps)} times whether the arm is the planned one; once is due")
-        ]
-    (step,), machine = steps, arm_model.machine_of(task.arm.data)
-    out: list[tuple[Step | None, str]] = []
-    q, tip, place, most = (np.array(step.values[a:b]) for a, b in ((0, 6), (6, 12), (12, 18), (18, 19)))
-    if np.abs(q - task.arm.home).max() > HOME_ERROR:
-        out.append((step, "the arm is looked at elsewhere than at home"))
-    if np.abs(tip[:3] - CHECK_POINT).max() > FRAME_POSITION:
-        out.append((step, f"the point of the flange is {tip[:3].tolist()} m; wanted: {list(CHECK_POINT)}"))
-    flange = inverse(machine.table.base) @ machine.flange(q)
-    off = float(np.linalg.norm((flange @ pose(tuple(tip)))[:3, 3] - place[:3]))
-    if off > FRAME_POSITION:
-        out.append((step, f"the arm's URDF has that point {mm(off):.4f} mm from where the program wants it"))
-    if most[0] > LOOK_ERROR:
-        out.append((step, f"the point may be off by {mm(most[0]):g} mm; allowed: {mm(LOOK_ERROR):g}"))
-    return out
-
-
-def _faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
-    own = [path for path in task.files if CHECK_MODULE.match(PurePosixPath(path).name)]
-    if len(own) != 1:
-        return [(task.name, f"{len(own)} modules compare the cell with the plan; wanted: one, TandemCheck_n")]
-    out = [] if _called(task) else [(task.name, "main does not call check_cell before anything else")]
-    file = own[0]
-    words = rapid_words(task.files[file])
-    together = len(context.job.tasks) > 1 and context.job.readings is None
-    parts = _parts(words)
-    if parts is None:
-        return [*out, (file, "it is not of the form that check_cell has")]
-    module, body, handler, rest = parts
-    axes = outer_axes(task.arm, context.problem.cell.turntable)
-    second, looks, rest = _axes_parts(rest) if axes else ([], [], rest)
-    if rapid_words(masked(task.files[file])) != [*module, *_CHECK_HEAD, *handler, *second, "endmodule"]:
-        out.append((file, "its handler cannot be told from what compares"))
-    if looks != _axes_wanted(axes):
-        out.append((file, "it does not look as it should whether tracks and turntables are at home"))
-    head, calls = _wanted(context, task)
-    if module[:1] != ["module"] or len(module) != 2 or rest != rapid_words(_helpers(together, bool(axes))):
-        out.append((file, "the procedures that compare are not as they should be"))
-    if body[: len(head)] != head:
-        out.append((file, "it does not read the base frame as it should, or not of this robot"))
-    compared = sorted(body[len(head) :])
-    out += [(file, f"it does not compare {_shown_call(lost)}") for lost in sorted(set(calls) - set(compared))]
-    if not out and compared != sorted(calls):
-        out.append((file, "it does more than compare what was planned"))
-    return out
-
-
-def _shown_call(call: str) -> str:
-    found = re.search(r'"([^"]*)"', call)
-    return (found.group(1) if found else call) + " with what was planned"
-
-
-def _called(task: TaskText) -> bool:
-    """Whether ``main`` begins with the call."""
-    mains = [p for module in task.modules for p in module.procedures if p.name.lower() == "main"]
-    for statement in mains[0].body if len(mains) == 1 else ():
-        if isinstance(statement, ProcCall):
-            return statement.name.lower() == "check_cell"
-        if not (isinstance(statement, Instruction) and statement.name in _BEFORE_CALL):
-            return False
-        if statement.name == "SetDO" and not (
-            isinstance(statement.arguments[1], Literal) and statement.arguments[1].value == 0
-        ):
-            return False
-    return False
-
-
-def _parts(words: Sequence[str]) -> tuple[list[str], list[str], list[str], list[str]] | None:
-    """Words before the procedure, its statements, words of its handler, which is judged as those of all
-    procedures are, and words behind it."""
-    text = list(words)
-    at = next((i for i in range(len(text)) if text[i : i + 4] == _CHECK_HEAD), None)
-    if at is None or "error" not in text[at:] or "endproc" not in text[at:]:
-        return None
-    handler, end = text.index("error", at), text.index("endproc", at)
-    if handler > end or text[-1:] != ["endmodule"]:
-        return None
-    body: list[str] = [" ".join(part) for part in _split(text[at + 4 : handler])]
-    return text[:at], body, text[handler : end + 1], text[end + 1 : -1]
-
-
-def _axes_parts(rest: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
-    """Words of the frame of the procedure that looks at external axes, with its handler, its statements, and
-    words behind it; all is behind it where there is none."""
-    text = list(rest)
-    if text[: len(_AXES_HEAD)] != _AXES_HEAD or "error" not in text or "endproc" not in text:
-        return [], [], text
-    handler, end = text.index("error"), text.index("endproc")
-    if handler > end:
-        return [], [], text
-    body = [" ".join(part) for part in _split(text[len(_AXES_HEAD) : handler])]
-    return [*_AXES_HEAD, *text[handler : end + 1]], body, text[end + 1 :]
-
-
-def _axes_wanted(axes: Sequence[OuterAxis]) -> list[str]:
-    """What that procedure has to look at."""
-    text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
-    for axis in sorted(axes, key=lambda one: one.column):
-        here, name = f"cfg_here.extax.eax_{'abcdef'[axis.column]}", rapid_sentences.axis_of(axis.unit)
-        home = f"{axis.home / axis.scale:.4f}"
-        home = home.removeprefix("-") if float(home) == 0.0 else home
-        text += f'check_axis "{name}",{here},{home},{OFF_HOME[axis.sign]:g};'
-    return _statements(text)
-
-
-def _split(words: Sequence[str]) -> list[list[str]]:
-    out: list[list[str]] = [[]]
-    for word in words:
-        if word == ";":
-            out.append([])
-        else:
-            out[-1].append(word)
-    return out if out[-1] else out[:-1]
-
-
-def _statements(text: str) -> list[str]:
-    return [" ".join(part) for part in _split(rapid_words(text))]
-
-
-def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
-    """How the base frame is read, in this order, and the comparisons, in any order."""
-    controller = context.problem.cell.controller
-    arms = [arm.name for arm in context.problem.cell.arms]
-    place = f'"/MOC/ROBOT/{controller.robot(arms.index(task.arm.name))}"'
-    read = "VAR pose cfg_base; VAR num cfg_value;"
-    for axis in "xyz":
-        read += (
-            f'ReadCfgData {place},"base_frame_pos_{axis}",cfg_value; cfg_base.trans.{axis}:=1000*cfg_value;'
-        )
-    for part in range(4):
-        read += f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;'
-        read += f"cfg_base.rot.q{part + 1}:=cfg_value;"
-    calls = f'check_pose "{rapid_sentences.base_of(task.arm.name)}",cfg_base,{BASE_FRAME};'
-    for data in context.data(task, r"\w+"):
-        if not isinstance(data.initial, Literal) or data.kind not in ("tooldata", "wobjdata"):
-            continue
-        calls += _compared(data.name, data.kind, _raw(task, data.name))
-    return _statements(read), _statements(calls)
-
-
-def _compared(name: str, kind: str, value: Sequence[str]) -> str:
-    """Comparisons of a declared tool or work object, whose parts are ``value`` as text."""
-    if kind == "tooldata":
-        text = f'check_pose "{rapid_sentences.frame_of(name)}",{name}.tframe,{value[1]};'
-        return text + f'check_true "{rapid_sentences.kind_of(name)}",{name}.robhold;'
-    text = f'check_pose "{rapid_sentences.object_frame_of(name)}",{name}.oframe,{value[4]};'
-    who = f'check_true "{rapid_sentences.kind_of(name)}",NOT {name}.robhold AND '
-    if value[1].upper() == "TRUE":
-        text += f'check_pose "{rapid_sentences.user_frame_of(name)}",{name}.uframe,{value[3]};'
-        return text + f"{who}{name}.ufprog;"
-    return text + f"{who}NOT {name}.ufprog AND {name}.ufmec={value[2]};"
-
-
-def _raw(task: TaskText, name: str) -> list[str]:
-    """The components of a declaration, as its text has them."""
-    for path, text in task.files.items():
-        if CHECK_MODULE.match(PurePosixPath(path).name):
-            continue
-        if re.search(rf"(?i)\b{name}\s*:=", text) is None:
-            continue  # nor without comments, of which each leaves a semicolon
-        plain = re.sub(r"(?m)^\s*!.*|;\s*!.*", ";", text)
-        found = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", plain, re.DOTALL)
-        if found is not None:
-            return _components(found.group(1))
-    return [""] * 5
-
-
-def _components(text: str) -> list[str]:
-    out, depth, quoted = [""], 0, False
-    for sign in text:
-        quoted ^= sign == '"'
-        depth += 0 if quoted else (sign == "[") - (sign == "]")
-        if sign == "," and depth == 0 and not quoted:
-            out.append("")
-        else:
-            out[-1] += sign
-    return [part.strip() for part in out] + [""] * 5
-
-
-def _helpers(together: bool, axes: bool) -> str:
-    """The procedures that compare, as they have to be; ``axes``: tracks and turntables, too."""
-    parts = ("1", "2", "3", "4")
-    dot = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in parts)
-    squares = "+".join(f"Pow(got.rot.q{i}-off_sign*wanted.rot.q{i},2)" for i in parts)
-    stop = "Stop\\AllMoveTasks" if together else "Stop"
-    axis = f"""
-    PROC check_axis(string what, num got, num wanted, num most)
-      IF Abs(got-wanted)>most THEN
-        TPWrite what; TPWrite "{rapid_sentences.OFF_HOME}"\\Num:=got-wanted; check_stop;
-      ENDIF
-    ENDPROC"""
-    said_last = "".join(f'TPWrite "{line}";' for line in rapid_sentences.NOTHING_MOVES)
-    return f"""
-    PROC check_pose(string what, pose got, pose wanted)
-      VAR num off_sign:=1; VAR num off_turn;
-      IF {dot}<0 THEN off_sign:=-1; ENDIF
-      off_turn:=114.591559*Sqrt({squares});
-      IF Distance(got.trans,wanted.trans)>{_DISTANCE} OR off_turn>{_TURN} THEN
-        TPWrite what; TPWrite "{rapid_sentences.OFF_BY_MM}"\\Num:=Distance(got.trans,wanted.trans);
-        TPWrite "{rapid_sentences.OFF_BY_DEGREES}"\\Num:=off_turn; check_stop;
-      ENDIF
-    ENDPROC
-    PROC check_true(string what, bool same)
-      IF NOT same THEN TPWrite what; TPWrite "{rapid_sentences.NOT_AS_PLANNED}"; check_stop; ENDIF
-    ENDPROC
-    {axis if axes else ""}
-    PROC check_stop()
-      {said_last} WHILE TRUE DO {stop}; ENDWHILE
-    ENDPROC
-    """

@@ -18,13 +18,13 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Cell
 from planner.programs.stages import TaskText
-from planner.programs.steps import MoveStep, RobTarget
+from planner.programs.steps import MoveStep
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.inverse_kinematics import singularity_distance
 from planner.proof.replay.moves import driven_knots
 from planner.proof.replay.tool_speeds import tool_speeds
-from planner.proof.rule import Outcome, at_node, at_sample, at_step, mm, rule
+from planner.proof.rule import Outcome, at_sample, at_step, mm, rule
 from planner.proof.rules.setups_and_frames import at_home
 
 JOINT_JUMP = np.deg2rad(8.0)
@@ -104,45 +104,6 @@ def continuity(context: Context) -> Outcome:
                 )
             )
     return Outcome(tuple(issues), worst, float(np.rad2deg(JOINT_JUMP)), "deg")
-
-
-@rule("verify.confdata")
-def confdata(context: Context) -> Outcome:
-    """RAPID: confdata alone select the joint solution that the motion has at each target; those of an arm
-    with an offset wrist are all 0."""
-    motion = context.motion
-    issues, worst = [], 0.0
-    for task in context.job.tasks:
-        arm = task.arm.name
-        if not task.rapid:
-            continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
-        if task.arm.data.unnamed:
-            # such arms run with ConfL\Off; with parallel rods the numbers of single axes mean what they say
-            if arm_model.machine_of(task.arm.data).followed:
-                issues += list(_named_postures(task))
-            continue
-        selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]
-        straight = _straight(context, arm)
-        none = straight & ~np.isfinite(selected).all(axis=1)
-        far = np.abs(np.where(np.isfinite(selected), selected, here) - here).max(axis=1)
-        wrong = straight & (none | (far > JOINT_JUMP) | ~motion.node_conf_ok[arm])
-        worst = max(worst, float(np.rad2deg(far[straight].max()))) if straight.any() else worst
-        for i in np.flatnonzero(wrong):
-            what = (
-                "select no joint solution" if none[i] else "select another joint solution than the motion has"
-            )
-            issues.append(at_node("verify.confdata", f"the confdata {what}", context.motion, arm, int(i)))
-    return Outcome(tuple(issues), worst, float(np.rad2deg(JOINT_JUMP)), "deg")
-
-
-def _named_postures(task: TaskText) -> Iterator[Issue]:
-    """Targets that name a posture of an arm of which nobody knows how confdata name them: a controller that
-    heeds them might take another one than the motion has."""
-    for step in task.steps:
-        if isinstance(step, MoveStep) and isinstance(step.target, RobTarget) and any(step.target.conf or ()):
-            shown = ",".join(map(str, step.target.conf or ()))
-            what = f"the confdata are [{shown}]; of this arm they are [0,0,0,0], as postures have no names"
-            yield at_step("verify.confdata", what, task, step)
 
 
 @rule("verify.joint_limits")
@@ -275,7 +236,7 @@ def singularity(context: Context) -> Outcome:
     limit = context.problem.settings.singularity_margin
     for task in context.job.tasks:
         arm = task.arm.name
-        rows = np.flatnonzero(_straight(context, arm)[context.motion.node])
+        rows = np.flatnonzero(straight_nodes(context, arm)[context.motion.node])
         if not len(rows):
             continue
         parts = np.array_split(rows, len(rows) // _SAMPLES_AT_ONCE + 1)
@@ -364,7 +325,7 @@ def _timed(context: Context) -> BoolArray:
     return out
 
 
-def _straight(context: Context, arm: str) -> BoolArray:
+def straight_nodes(context: Context, arm: str) -> BoolArray:
     """Nodes (K,) that the arm reaches by a straight move."""
     key = f"_straight_{arm}"
     if key not in context.__dict__:

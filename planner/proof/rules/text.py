@@ -19,6 +19,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 from planner.issues import Issue, Severity
+from planner.languages.krl.rules import moves as rules_moves
 from planner.languages.rapid.reader.syntax_tree import QUATERNION_TOLERANCE, Literal
 from planner.programs.job import TRAJECTORY, speaks_trajectories, task_names
 from planner.programs.stages import JobText, TaskText
@@ -26,7 +27,6 @@ from planner.programs.steps import DIGEST, Fault, MoveStep
 from planner.programs.text import changed, strange
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, rule, target
-from planner.proof.rules import synchronisation
 
 _RAPID_TARGET = re.compile(
     r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]"
@@ -277,7 +277,7 @@ def module_size(context: Context) -> Outcome:
     ]
     limit, worst = context.problem.cell.controller.max_moves, 0
     for task in context.job.tasks:
-        found, most = synchronisation.sizes(context, task)
+        found, most = rules_moves.sizes(context, task)
         issues += found
         worst = max(worst, most)
         for module in task.modules:

@@ -4,13 +4,12 @@ points."""
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, exp_rotation, inverse, log_rotation
+from planner.geometry.arrays import FloatArray, dots, exp_rotation, inverse, log_rotation
 from planner.issues import Issue
 from planner.languages.trajectories.reader.flow import columns, pose
 from planner.languages.trajectories.reader.rows import (
@@ -31,9 +30,14 @@ from planner.programs.steps import PassedTarget
 from planner.proof.context import Context
 from planner.proof.kinematics.arm_model import machine_of
 from planner.proof.replay.driven_speed import settling_share
-from planner.proof.replay.moves import cubic, driven_knots
-from planner.proof.replay.tool_speeds import SLOW, tool_speeds
+from planner.proof.replay.standing import (
+    MAX_SAMPLES_AT_ONCE,
+    first_of_each_node,
+    tool_in_holder_frame,
+    work_nodes,
+)
 from planner.proof.replay.tool_speeds import STANDS as STANDS_STILL
+from planner.proof.replay.tool_speeds import tool_speeds
 from planner.proof.rule import Outcome, at_sample, at_step, mm, rule
 from planner.proof.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR, MASS_ERROR
 
@@ -48,15 +52,10 @@ BETWEEN_TURN: Final = float(np.deg2rad(0.1))
 UNEVEN: Final = 1.55
 """How many times as fast as the fastest mean of the three ways about it a tool may go between two points; a
 cubic from rest to rest reaches 1.5 times its own."""
-_PIECES: Final = 8
-"""Pieces of the way between two points at which its evenness is looked at."""
 _BACK: Final = 0.02e-3
 """How far [m] a tool may go back in one of them."""
-STANDS: Final = 1e-4
-"""Below this speed [rad/s] of its fastest joint an arm stands on all of the way to a point."""
 _ROUNDED: Final = 1.0 + 1e-6
 _NONE: Final = "no trajectories"
-_AT_ONCE: Final = 16_384
 
 
 def _programs(context: Context) -> Iterator[tuple[TaskText, Program]]:
@@ -268,18 +267,18 @@ def between_points(context: Context) -> Outcome:
         if task.trajectory is None:
             continue
         arm, found = task.arm.name, True
-        work, before, after, holders = _work(context, task)
+        work, before, after, holders = work_nodes(context, task)
         issues += _uneven(context, task)
         looks = motion.looks
         rows = np.flatnonzero(work[looks.node])
-        for first in range(0, len(rows), _AT_ONCE):
-            some = rows[first : first + _AT_ONCE]
+        for first in range(0, len(rows), MAX_SAMPLES_AT_ONCE):
+            some = rows[first : first + MAX_SAMPLES_AT_ONCE]
             node = looks.node[some]
-            here = _seen(context, arm, holders[node], looks.row[some], motion.poses)
+            here = tool_in_holder_frame(context, arm, holders[node], looks.row[some], motion.poses)
             off, turn = _off(before[node], after[node], here)
             worst = max(worst, float(off.max(initial=0.0)))
             bad = np.flatnonzero((off > BETWEEN) | (turn > BETWEEN_TURN))
-            for k in _first_of_each(node[bad], bad)[:20].tolist():
+            for k in first_of_each_node(node[bad], bad)[:20].tolist():
                 what = f"between two points the tool of {arm} is {mm(off[k]):.4f} mm and "
                 what += (
                     f"{np.rad2deg(turn[k]):.4f} deg off the straight way; allowed: {mm(BETWEEN):g} mm and "
@@ -310,81 +309,6 @@ def _uneven(context: Context, task: TaskText) -> list[Issue]:
     return out
 
 
-def standing(context: Context) -> BoolArray:
-    """Nodes (K,) at which, or on the way to which, arms that are driven by trajectories come so near to a
-    standstill that it is one, though no velocity of the text is 0; of a block that one holds, as it sees the
-    other one's tool."""
-    motion = context.motion
-    out = np.zeros(len(motion.node_stop), dtype=np.bool_)
-    share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None, None]
-    for number, stage in enumerate(context.job.stages):
-        tasks = [t for t in context.job.tasks if t.trajectory is not None and stage.moves(t.name)]
-        moves = [stage.moves(task.name) for task in tasks]
-        if not tasks:
-            continue
-        here = motion.node_stage == number
-        nodes = np.flatnonzero(here & (motion.node_line[tasks[0].arm.name] > 0))
-        span = np.array([move.time or 1.0 for move in moves[0]])[:, None]
-        ends, rates = list[FloatArray](), list[FloatArray]()
-        for task, own in zip(tasks, moves, strict=True):
-            data, at = task.arm.data, np.searchsorted(motion.node, nodes[0])
-            q, v = driven_knots(data, own, motion.q[task.arm.name][at])
-            ends.append(q / data.velocity)
-            rates.append(v / data.velocity)
-        place, rate = np.concatenate(ends, axis=1), np.concatenate(rates, axis=1)
-        fastest = np.concatenate([task.arm.data.velocity for task in tasks])
-        mean = np.linalg.norm(np.diff(place, axis=0) / span, axis=1)
-        slow = np.linalg.norm(rate[1:-1], axis=1) < SLOW * np.minimum(mean[:-1], mean[1:])
-        way = cubic(place[:-1], place[1:], rate[:-1], rate[1:], span, share)
-        least = np.linalg.norm(np.diff(way, axis=0), axis=2).min(axis=0) * _PIECES / span[:, 0]
-        rests = np.abs(np.diff(place, axis=0) * fastest / span).max(axis=1) < STANDS
-        out[nodes] = np.append(slow, False) | (least < SLOW * mean) | rests
-    for speeds in tool_speeds(context).values():
-        out[speeds.node] |= speeds.creeps
-    return out
-
-
-def _work(context: Context, task: TaskText) -> tuple[BoolArray, FloatArray, FloatArray, NDArray[np.object_]]:
-    """Which nodes (K,) the arm passes in work, where its tool (K, 4, 4) is before each and there, and which
-    arm (K,) holds the block, as seen from whose tool that is; "" in the world."""
-    motion, arm = context.motion, task.arm.name
-    count = len(motion.node_segment)
-    work, holders = np.zeros(count, dtype=bool), np.full(count, "", dtype=object)
-    for number, stage in enumerate(context.job.stages):
-        moves = stage.moves(task.name)
-        nodes = np.flatnonzero((motion.node_stage == number) & (motion.node_line[arm] > 0))
-        for node, move in zip(nodes, moves, strict=False):
-            work[node] = not move.by_joints
-            holders[node] = "" if move.wobj.fixed else move.wobj.unit
-    begins = np.flatnonzero(np.append(True, motion.node_stage[1:] != motion.node_stage[:-1]))
-    ends = {name: motion.node_tcp[name] for name in motion.node_tcp}
-    start = {}
-    for name, after in ends.items():
-        start[name] = np.empty((count, 4, 4))
-        start[name][1:] = after[:-1]
-        start[name][begins] = motion.tcp[name][np.searchsorted(motion.node, begins)]
-    rows = np.arange(count)
-    before = _seen(context, arm, holders, rows, lambda name, some: start[name][some])
-    after = _seen(context, arm, holders, rows, lambda name, some: ends[name][some])
-    return work, before, after, holders
-
-
-def _seen(
-    context: Context,
-    arm: str,
-    holders: NDArray[np.object_],
-    rows: IntArray,
-    poses: Callable[[str, IntArray], FloatArray],
-) -> FloatArray:
-    """``poses`` (K, 4, 4) of an arm's tool at ``rows`` (K,) as seen from the tools of ``holders`` (K,)."""
-    out = poses(arm, rows).copy()
-    for holder in context.motion.tcp:
-        some = np.flatnonzero(holders == holder)
-        if len(some):
-            out[some] = inverse(poses(holder, rows[some])) @ out[some]
-    return out
-
-
 def _off(start: FloatArray, end: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
     """How far (S,) [m], [rad] poses (S, 4, 4) are off the straight ways from ``start`` to ``end`` (S, 4, 4),
     turning evenly."""
@@ -400,7 +324,3 @@ def _off(start: FloatArray, end: FloatArray, pose: FloatArray) -> tuple[FloatArr
     wanted = start[:, :3, :3] @ exp_rotation(share[:, None] * turning)
     apart = log_rotation(np.swapaxes(wanted, 1, 2) @ pose[:, :3, :3])
     return off, np.asarray(np.linalg.norm(apart, axis=1))
-
-
-def _first_of_each(node: IntArray, rows: IntArray) -> IntArray:
-    return np.asarray(rows[np.unique(node, return_index=True)[1]]) if len(rows) else rows

@@ -23,7 +23,6 @@ from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
 from planner.processes.forming.proof.state import Forming
-from planner.processes.hotwire.proof.rules.wire import signals
 from planner.processes.trim.plan.check import gouged
 from planner.processes.trim.plan.cutting import Cutting, shank_body
 from planner.processes.trim.plan.face import Face, lay
@@ -35,6 +34,7 @@ from planner.processes.trim.proof.rules.slots import trim_cut
 from planner.processes.trim.proof.torch_motion import Trimming
 from planner.proof.context import Context
 from planner.proof.prove import Prover
+from planner.proof.rules.power import signals
 from planner.targets import ScrewFreedom
 from planner.tooling import mill
 from tests import urdf_text

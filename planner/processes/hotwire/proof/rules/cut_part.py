@@ -10,7 +10,6 @@ import dataclasses
 
 import numpy as np
 
-from planner.claims.claim import FeedWindow
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.issues import Issue
@@ -22,7 +21,7 @@ from planner.processes.hotwire.proof.walls import PartWalls, taken_by_bent, take
 from planner.processes.hotwire.proof.wire_motion import Wire, end_error, to_block
 from planner.proof.context import Context
 from planner.proof.replay.motion import during, local
-from planner.proof.rule import Outcome, at_node, at_sample, mm, rule
+from planner.proof.rule import Outcome, at_sample, mm, rule
 from planner.proof.verdict import CutFace
 
 
@@ -218,39 +217,6 @@ BESIDE = 0.01
 SIDE_DISTANCE = 1e-6
 """A surface all of whose vertices are so near to one side of the datum block [m] is that side, and bounds raw
 foam instead of a piece."""
-
-
-@rule("verify.order", FeedWindow)
-def order(context: Context) -> Outcome:
-    """Cuts follow one another as the operations state them, each in one go from its way in to its way out."""
-    issues: list[Issue] = []
-    motion = context.motion
-    setups = context.spans.of_stage[motion.node_stage]
-    arm = context.job.tasks[0].arm.name
-    for index in range(len(context.setups)):
-        rank = _ranks(context, index)
-        last, before = -1, ""
-        for node in np.flatnonzero(setups == index):
-            label = str(motion.node_segment[node])
-            here = rank.get(label, last)
-            if here < last:
-                what = f"{label} is cut behind {before}; it comes first"
-                issues.append(at_node("verify.order", what, motion, arm, int(node)))
-            last, before = here, label if label in rank else before
-    return Outcome(tuple(issues))
-
-
-def _ranks(context: Context, index: int) -> dict[str, int]:
-    """Segments in which a setup cuts, in lower case, in the order in which they must come."""
-    out: dict[str, int] = {}
-    for group in context.setup_claims[index].groups:
-        own = [claim.segment for claim in group if isinstance(claim, FeedWindow)]
-        fed = {segment.key for segment in own}
-        for segment in own:
-            for way in segment.ways:
-                if way.key in fed:
-                    out.setdefault(way.key, len(out))
-    return out
 
 
 @rule("verify.part", CutsSurface, SlitsAllowed)

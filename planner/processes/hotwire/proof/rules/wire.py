@@ -6,26 +6,21 @@ verify.wire_power, signals: on and hot in the foam, off at hands, switched in on
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from planner.claims.claim import ContactOnlyIn, FeedWindow
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue
-from planner.languages.trajectories.rules import trajectories
-from planner.processes.forming.claims import SinksHolder
 from planner.processes.hotwire.claims import WireJoins
 from planner.processes.hotwire.proof.mounting import Phase
 from planner.processes.hotwire.proof.wire_motion import Wire, end_distances
-from planner.processes.trim.claims import TrimsSheet
-from planner.programs.job import controllers
-from planner.programs.stages import TaskText
-from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
+from planner.programs.steps import MessageStep, SignalStep, WaitStep
 from planner.proof.context import Context
+from planner.proof.replay import standing
 from planner.proof.replay.motion import steps_across
 from planner.proof.replay.tool_speeds import LEAST_PART, STANDS, tool_speeds
 from planner.proof.rule import FEED_SLACK, Outcome, at_sample, at_step, mm, rule
+from planner.proof.rules.power import all_steps
 
 MOST_RESIDUAL = 1e-6
 """A wire's shape is in balance where no residual of its equations is larger than this."""
@@ -185,7 +180,7 @@ def stop_in_foam(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     still, where trajectories state velocities."""
     issues = []
     motion = context.motion
-    stands = motion.node_stop | trajectories.standing(context)
+    stands = motion.node_stop | standing.standing(context)
     for wire in wires:
         stops = np.isin(wire.sample, motion.node_sample[stands])
         for k in np.flatnonzero(stops & (wire.depth > -MELTING_DISTANCE)):
@@ -341,70 +336,6 @@ def wire_issue(
     return at_sample(code, message, context.motion, wire.arms[0], int(wire.sample[k]), measure)
 
 
-@rule("verify.signals")
-def signals(context: Context) -> Outcome:
-    """Only the signals of wires, spindles, knives, torches and clamps that sink are switched, to 0 or 1, at
-    once, by one task of a controller between two synchronisation points, and are off before anybody is asked
-    or an arm moves."""
-    issues: list[Issue] = []
-    known = {claim.signal.lower() for claim in context.contacts}
-    known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder | TrimsSheet)}
-    known.discard("")  # of a knife that is dragged
-    known.add(context.problem.cell.controller.wire_signal.lower())
-    issues += _left_on(context, known)
-    runs = {task.name: tasks for tasks in controllers(context.problem, context.job.tasks) for task in tasks}
-    for stage in context.job.stages:
-        switches: dict[str, TaskText] = {}  # of each controller, by its first task
-        for task in context.job.tasks:
-            for step in stage.steps[task.name]:
-                if not isinstance(step, SignalStep):
-                    continue
-                faults = []
-                if step.signal.lower() not in known:
-                    faults.append(
-                        f"{step.signal} is no signal of a wire, a spindle, a knife, a clamp or a torch"
-                    )
-                if step.value not in (0.0, 1.0):
-                    faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
-                if step.delay:
-                    faults.append(f"{step.signal} is switched {step.delay:g} s later")
-                first = switches.setdefault(runs[task.name][0].name, task)
-                if first is not task:
-                    faults.append(f"{first.name} switches a signal between the same synchronisation points")
-                issues += [at_step("verify.signals", fault, task, step) for fault in faults]
-    for task in context.job.tasks:
-        issues += [
-            Issue(
-                "verify.signals",
-                f"{data.name} hides a signal of the controller",
-                file=task.name,
-                line=data.line,
-            )
-            for module in task.modules
-            for data in module.data
-            if data.kind.startswith("signal")
-        ]
-    return Outcome(tuple(issues))
-
-
-def _left_on(context: Context, known: set[str]) -> list[Issue]:
-    """Power that a program before this one may have left on, when a task asks or moves at first."""
-    issues = []
-    for task in context.job.tasks:
-        off: set[str] = set()
-        first: Step | None = None
-        for step in task.steps:
-            if isinstance(step, MoveStep) or (isinstance(step, MessageStep) and step.confirm):
-                first = first or step
-            elif isinstance(step, SignalStep) and step.signal.lower() in known:
-                name = step.signal.lower()
-                if name not in off and (first is not None or step.value):
-                    what = f"{step.signal} is not switched off first; a run before this may have left it on"
-                    issues.append(at_step("verify.signals", what, task, step))
-                off.add(name)
-    return issues
-
-
 @rule("verify.wire_power", ContactOnlyIn)
 def wire_power(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """The power is on and the wire hot before it touches the block, on until it has left, and off when hands
@@ -481,7 +412,7 @@ def _power_elsewhere(context: Context, signal: str) -> list[Issue]:
     issues = []
     mounted = {number for phase in context.phases for number in range(phase.first, phase.last + 1)}
     value = 0.0
-    for number, task, step in _all_steps(context):
+    for number, task, step in all_steps(context):
         if isinstance(step, SignalStep) and step.signal.lower() == signal.lower():
             value = step.value
         if isinstance(step, MessageStep) and step.confirm and value and number not in mounted:
@@ -490,10 +421,3 @@ def _power_elsewhere(context: Context, signal: str) -> list[Issue]:
     if value:
         issues.append(Issue("verify.wire_power", f"{signal} is on when the programs end"))
     return issues
-
-
-def _all_steps(context: Context) -> Iterator[tuple[int, TaskText, Step]]:
-    """Steps of all tasks, stage by stage; within a stage only one task switches."""
-    for number, stage in enumerate(context.job.stages):
-        for task in context.job.tasks:
-            yield from ((number, task, step) for step in stage.steps[task.name])
