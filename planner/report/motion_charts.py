@@ -26,7 +26,7 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import Plan
 from planner.problem import Problem, Settings
-from planner.processes.hotwire.claims import CutsSurface, WireJoins
+from planner.processes.hotwire.claims import WireJoins
 from planner.proof.verdict import Proof
 from planner.report import markup
 from planner.report.charts import Band, Level, Line, chart
@@ -142,36 +142,6 @@ def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
     bands = tuple(band for row in rows for band in row)
     shown = _planned(problem, plan, starts)
     return Motion(shown, None, _feed(plan, starts), (), bands, "the plan's targets")
-
-
-def kerf_range(cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow]) -> str:
-    """Widths [mm] of the slots at the speeds that the feed windows of their segments allow, as text."""
-    window = {w.segment: w for w in windows}
-    widths: list[float] = []
-    for cut in cuts:
-        table = cut.kerf.speed
-        found = window.get(cut.segment)
-        lower, upper = (
-            (found.lower, found.upper) if found is not None else (float(table[0]), float(table[-1]))
-        )
-        inside = table[(table > lower) & (table < upper)]
-        widths += cut.kerf.at(np.concatenate([[lower], inside, [upper]])).tolist()
-    low, high = min(widths) / MM, max(widths) / MM
-    return f"{low:.3g}" if high - low < 5e-4 else f"{low:.2f}–{high:.2f}"
-
-
-def kerf_shown(
-    cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow], proof: Proof | None
-) -> tuple[str, str]:
-    """What the kerf is called, and its range [mm]: of the cut, at the speeds with which the proof saw the
-    wire pass the faces, or without a proof that of the feeds allowed."""
-    passed = {face.segment.key: face.speed for face in (proof.surfaces if proof is not None else ())}
-    speeds = [passed.get(cut.segment.key, np.zeros(0)) for cut in cuts]
-    widths = [cut.kerf.at(speed[np.isfinite(speed)]) / MM for cut, speed in zip(cuts, speeds, strict=True)]
-    if not widths or not all(len(width) for width in widths):
-        return "kerf at the feeds allowed", kerf_range(cuts, windows)
-    low, high = min(float(w.min()) for w in widths), max(float(w.max()) for w in widths)
-    return "kerf of the cut", f"{low:.3g}" if high - low < 5e-4 else f"{low:.2f}–{high:.2f}"
 
 
 def operation_starts(plan: Plan) -> list[float]:

@@ -21,6 +21,7 @@ from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.problem import Problem
+from planner.processes.hotwire import exhibits
 from planner.processes.hotwire.claims import CutsSurface, StraightWire, WireJoins
 from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.report import charts, markup, motion_charts
@@ -126,7 +127,7 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
     cuts = [c for c in claims if isinstance(c, CutsSurface)]
     if cuts:
         windows = [c for c in claims if isinstance(c, FeedWindow)]
-        out.append(markup.Tile(*motion_charts.kerf_shown(cuts, windows, proof), "mm"))
+        out.append(markup.Tile(*exhibits.kerf_shown(cuts, windows, proof), "mm"))
         tolerances = sorted({c.tolerance / MM for c in cuts})
         out.append(
             markup.Tile(

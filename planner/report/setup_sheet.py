@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.cell import support
-from planner.claims.claim import FeedWindow, HoldsStock
+from planner.claims.claim import HoldsStock
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
@@ -25,11 +25,17 @@ from planner.problem import (
     torch_signals,
 )
 from planner.processes.forming.claims import SinksHolder
-from planner.processes.hotwire.claims import CutsSurface, StraightWire, WireJoins
+from planner.processes.hotwire.claims import StraightWire, WireJoins
+from planner.processes.hotwire.exhibits import (
+    bent_wire_rows,
+    cutting_rows,
+    mounting_rows,
+    straight_wire_rows,
+)
 from planner.proof.verdict import Proof
 from planner.report import axes_sheet, exhibits, markup, scene
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
-from planner.report.motion_charts import kerf_shown, operation_starts
+from planner.report.motion_charts import operation_starts
 from planner.report.pose_text import point, pose_cells
 from planner.tooling import Gripper
 
@@ -609,13 +615,13 @@ def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, 
     items: list[tuple[object, object]] = []
     for claim in targets.claims:
         if isinstance(claim, WireJoins):
-            items += _bent(claim) + _mount(setup, plan, operation, claim)
+            items += bent_wire_rows(claim) + mounting_rows(setup, plan, operation, claim)
         elif isinstance(claim, StraightWire):
-            items += _straight(claim)
+            items += straight_wire_rows(claim)
     own = exhibits.setup_items(targets.exhibits)
     straight = any(isinstance(claim, StraightWire) for claim in targets.claims)
     # the straight wire's process says all this by itself
-    items += own if own and straight else [*_cutting(operation, proof), *own]
+    items += own if own and straight else [*cutting_rows(operation, proof), *own]
     signals = dict.fromkeys(a.signal for a in targets.actions if a.signal)
     items += [("signals", _listed([markup.Code(signal) for signal in signals]))] if signals else []
     waits = sum(a.seconds for a in targets.actions)
@@ -667,60 +673,6 @@ def _wires(problem: Problem) -> list[tuple[object, object]]:
     wires = (*controller.handshake.wired(arms), *controller.handshake.wired_running(arms))
     shown = ", ".join(f"{w.output} of {w.source} to {w.input} of {w.sink}" for w in wires)
     return [("wires between the controllers", shown)]
-
-
-def _bent(wire: WireJoins) -> list[tuple[object, object]]:
-    return [
-        ("hot length between the clamps", f"{markup.fixed(wire.length / MM, 2)} mm"),
-        ("thickness in the bending plane", f"{markup.fixed(wire.thickness / MM, 3)} mm"),
-        ("section", "round, may spin" if wire.round_section else "strip, must not spin"),
-        ("least bend radius", f"{markup.fixed(1.0 / wire.max_curvature / MM, 1)} mm"),
-        ("end error allowed for", f"{markup.fixed(wire.end_error / MM, 2)} mm"),
-    ]
-
-
-def _straight(wire: StraightWire) -> list[tuple[object, object]]:
-    length = float(np.linalg.norm(wire.end - wire.start))
-    return [
-        ("bow on", wire.arm),
-        ("straight wire between the clamps", f"{markup.fixed(length / MM, 1)} mm"),
-        ("clamps stay clear of the block by", f"{markup.fixed(wire.margin / MM, 1)} mm"),
-    ]
-
-
-def _cutting(operation: OperationPlan, proof: Proof | None) -> list[tuple[object, object]]:
-    """Range of speeds in the foam, and of the kerf that they make."""
-    claims = operation.targets.claims
-    windows = [c for c in claims if isinstance(c, FeedWindow) and c.segment.kind == "cut"]
-    cuts = [c for c in claims if isinstance(c, CutsSurface)]
-    out: list[tuple[object, object]] = []
-    if windows:
-        low, high = min(w.lower for w in windows) / MM, max(w.upper for w in windows) / MM
-        speeds = f"{markup.fixed(low, 1)} to {markup.fixed(high, 1)} mm/s"
-        out.append(("speed of the wire in the foam", speeds))
-    if cuts:
-        name, width = kerf_shown(cuts, windows, proof)
-        out.append((name, f"{width} mm"))
-    return out
-
-
-def _mount(
-    setup: Setup, plan: Plan, operation: OperationPlan, wire: WireJoins
-) -> list[tuple[object, object]]:
-    """How the TCPs stand to each other at the first target, where the wire is mounted."""
-    arms = [setup.cell.arm(name) for name in wire.arms]
-    poses = [scene.flange_poses(arm, plan.bases, operation.q[arm.name][0]) @ arm.tool.tcp for arm in arms]
-    gap = poses[1][:3, 3] - poses[0][:3, 3]
-    distance = float(np.linalg.norm(gap))
-    out: list[tuple[object, object]] = [
-        ("as planned: distance of the TCPs at the mount", f"{markup.fixed(distance / MM, 2)} mm")
-    ]
-    if distance > 1e-6:
-        for name, pose in zip(wire.arms, poses, strict=True):
-            angle = np.arccos(np.clip(pose[:3, 0] @ gap / distance, -1.0, 1.0)) / DEG
-            words = f"as planned: TCP of {name} to the line between them"
-            out.append((words, f"{markup.fixed(float(angle), 2)}°"))
-    return out
 
 
 def _stops(operation: OperationPlan, start: float) -> Block:
