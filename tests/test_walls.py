@@ -24,7 +24,7 @@ def module(path: Path) -> str:
 
 
 FILES = {module(path): path for path in PLANNER.rglob("*.py")}
-WORDS_OF_PROGRAMS = {"claims.sentences"}
+WORDS_OF_PROGRAMS = {"claims.sentences", "claims.segments", "claims.dialogue", "claims.handshake"}
 """Modules of claims that motion and writers may know: sentences, signals and names of moves."""
 CLAIMS_OF_NO_PROCESS = {"Claim", "HoldsStock", "ArmSags", "FEED_WAY", "ForceFrame", "on_straight_moves_alone"}
 """What they may know of ``claims.claim``: what a robot carries and bends under, and kinds by name."""

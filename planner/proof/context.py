@@ -15,12 +15,11 @@ from functools import cached_property
 
 import numpy as np
 
-from planner import problem as planner_problem
 from planner.claims.claim import ArmSags, Claim, ContactOnlyIn, FeedWindow, HoldsStock
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
 from planner.languages.rapid.reader.syntax_tree import Data, Literal, build
-from planner.problem import END, Arm, Problem, Setup, Stock
+from planner.problem import END, Arm, Problem, Setup, Stock, setups_of
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, WireJoins
 from planner.processes.hotwire.proof.mounting import Phase
 from planner.programs import job as job_text
@@ -141,7 +140,7 @@ class Context:
     @cached_property
     def setups(self) -> tuple[Setup, ...]:
         """How the cell stands, setup by setup; at last, without operations, with all axes home again."""
-        return planner_problem.setups_of(self.problem)
+        return setups_of(self.problem)
 
     @cached_property
     def setup_claims(self) -> tuple[SetupClaims, ...]:

@@ -19,10 +19,10 @@ from planner.cell.plant import CellModel, build
 from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
-from planner.languages.krl.rules import moves as rules_moves
+from planner.languages.krl.rules import moves as krl_moves
 from planner.languages.krl.rules import spline
 from planner.languages.rapid.rules import confdata
-from planner.languages.rapid.rules import settings as rules_settings
+from planner.languages.rapid.rules import settings as rapid_settings
 from planner.languages.trajectories.rules import trajectories
 from planner.problem import TILT, Problem, Settings, setups_of
 from planner.processes.forming.proof import swept
@@ -30,7 +30,7 @@ from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.rules import claims as forming_claims
 from planner.processes.forming.proof.rules import level, part, springback, tool, two_tools
 from planner.processes.forming.proof.state import Forming, Left, begun_faces
-from planner.processes.hotwire.proof.rules import clearance as rules_clearance
+from planner.processes.hotwire.proof.rules import clearance as hotwire_clearance
 from planner.processes.hotwire.proof.rules import cut_part, dialogue_figures, straight_wire, wire, wire_alone
 from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.processes.hotwire.proof.wire_motion import wires as all_wires
@@ -94,10 +94,10 @@ TASK_RULES: _RuleTable = (
     synchronisation.sync_order,
     handshake.handshake,
     waiting_time.meeting_time,
-    rules_settings.error_handler,
-    rules_settings.undo,
-    rules_settings.motion_settings,
-    rules_settings.hidden,
+    rapid_settings.error_handler,
+    rapid_settings.undo,
+    rapid_settings.motion_settings,
+    rapid_settings.hidden,
     controller_files.cell_check,
     controller_files.controller_files,
     trajectories.start_posture,
@@ -123,7 +123,7 @@ STAGE_RULES: _RuleTable = (
     setups_and_frames.load,
     setups_and_frames.base_frames,
     block_support.rests,
-    rules_moves.status,
+    krl_moves.status,
     moves.move_kinds,
     external_axes.external_axes,
     moves.unknown_start,
@@ -176,7 +176,7 @@ OTHER_RULES: tuple[Rule[..., Any], ...] = (
     clearance.own_bodies,
     clearance.step_apart,
     track_way.track_way,
-    rules_clearance.wire_bodies,
+    hotwire_clearance.wire_bodies,
 )
 """Rules about any motion that ask the most time; another process may look at the last six of them."""
 FORMING_RULES: tuple[Rule[[Context, Forming], Outcome], ...] = (
@@ -403,7 +403,7 @@ class Prover:
         """What rules on wires find that ask the most time."""
         yield cut_part.part(context, wires)
         models = functools.cache(functools.partial(self.model, context))
-        yield rules_clearance.wire_bodies(context, models, wires)
+        yield hotwire_clearance.wire_bodies(context, models, wires)
 
     def _physics(self, context: Context, run: _Run, left: Left) -> Iterator[None]:
         run.long = len(context.motion.time) > MOST_SENT_SAMPLES

@@ -117,16 +117,26 @@ def _other_axis(freedom: Any) -> Any:
 FREEDOMS: Final = (
     Fault("spin_beyond_its_range", "posed", {"targets:Targets._pose": _twice}),
     Fault("spin_of_wrong_frame", "posed", {"targets:Targets._pose": _before}),
-    Fault("posed_axis_wrong", "posed", {"reading.poses:_freedom": result(_other_axis)}),
+    Fault("posed_axis_wrong", "posed", {"processes.poses.plan.job:_freedom": result(_other_axis)}),
     Fault(
         "posed_range_wide",
         "posed",
-        {"reading.poses:_freedom": fields(lower=lambda v: v * 0 + 1.0, upper=lambda v: v * 0 + 1.5)},
+        {
+            "processes.poses.plan.job:_freedom": fields(
+                lower=lambda v: v * 0 + 1.0, upper=lambda v: v * 0 + 1.5
+            )
+        },
     ),
-    Fault("posed_turned", "posed", {"reading.poses:_poses": result(_turned(0, 2.0))}),
-    Fault("posed_position_shifted", "posed", {"reading.poses:_poses": result(_moved_pose(x=0.001))}),
-    Fault("posed_inch", "posed_two", {"reading.poses:_poses": result(_moved_pose(z=0.0254))}),
-    Fault("posed_row_lost", "posed", {"reading.poses:_rows": result(lambda rows: rows[:3] + rows[4:])}),
+    Fault("posed_turned", "posed", {"processes.poses.plan.job:_poses": result(_turned(0, 2.0))}),
+    Fault(
+        "posed_position_shifted", "posed", {"processes.poses.plan.job:_poses": result(_moved_pose(x=0.001))}
+    ),
+    Fault("posed_inch", "posed_two", {"processes.poses.plan.job:_poses": result(_moved_pose(z=0.0254))}),
+    Fault(
+        "posed_row_lost",
+        "posed",
+        {"processes.poses.plan.job:_rows": result(lambda rows: rows[:3] + rows[4:])},
+    ),
 )
 
 KINEMATICS: Final = (

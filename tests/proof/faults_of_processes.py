@@ -238,25 +238,77 @@ def _always_absolute(old: Any) -> Any:
 
 
 ELASTIC: Final = (
-    Fault("trim_no_kerf", "trim", {"trim.slots:offset": given(2, _scaled(0.1))}),
+    Fault("trim_no_kerf", "trim", {"processes.trim.plan.slots:offset": given(2, _scaled(0.1))}),
     Fault("elastic_other_side_of_kerf", "elastic", {"geometry.mesh:offset": given(1, lambda d: -d)}),
     Fault("elastic_no_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.0))}),
     Fault("elastic_half_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.5))}),
-    Fault("elastic_kerf_curve", "elastic_heat", {"hotwire.operation:Heat.kerf_curve": _curve_wider(2.5)}),
-    Fault("elastic_wire_too_soft", "elastic_thin", {"hotwire.wire:Wire.bending": result(_scaled(0.3))}),
-    Fault("elastic_weight_upward", "elastic_thin", {"hotwire.wire:Wire.load": result(_scaled(-1.0))}),
-    Fault("elastic_wire_shifted", "elastic", {"hotwire.elastic.job:_targets": _poses(0, _shift(z=0.002))}),
-    Fault("elastic_clamp_turned", "elastic", {"hotwire.elastic.job:_targets": _own_poses(_turn(2, 0.03))}),
-    Fault("elastic_feed_times_ten", "elastic", {"hotwire.elastic.job:_targets": fields(feed=_scaled(10.0))}),
-    Fault("elastic_travel_in_mm", "elastic", {"hotwire.elastic.job:_targets": fields(travel=_scaled(1e-3))}),
-    Fault("elastic_no_heating", "elastic", {"hotwire.elastic.job:_actions": result(_short_waits)}),
-    Fault("elastic_power_late", "elastic", {"hotwire.elastic.job:_actions": result(_late)}),
-    Fault("elastic_signal_other", "elastic", {"hotwire.elastic.job:_actions": result(_renamed)}),
-    Fault("elastic_not_asked", "elastic", {"hotwire.elastic.job:_actions": result(_without("confirm"))}),
-    Fault("elastic_told_too_long", "elastic", {"hotwire.wire:Wire.cold_length": result(_scaled(1.01))}),
-    Fault("elastic_told_too_near", "elastic", {"hotwire.elastic.job:mount_figures": result(_nearer)}),
-    Fault("elastic_section_lost", "elastic", {"hotwire.elastic.path:cut_places": result(_thin_out)}),
-    Fault("elastic_length_longer", "elastic", {"hotwire.elastic.path:from_states": given(2, _scaled(1.02))}),
+    Fault(
+        "elastic_kerf_curve",
+        "elastic_heat",
+        {"processes.hotwire.plan.operation:Heat.kerf_curve": _curve_wider(2.5)},
+    ),
+    Fault(
+        "elastic_wire_too_soft",
+        "elastic_thin",
+        {"processes.hotwire.plan.wire:Wire.bending": result(_scaled(0.3))},
+    ),
+    Fault(
+        "elastic_weight_upward",
+        "elastic_thin",
+        {"processes.hotwire.plan.wire:Wire.load": result(_scaled(-1.0))},
+    ),
+    Fault(
+        "elastic_wire_shifted",
+        "elastic",
+        {"processes.hotwire.plan.elastic.job:_targets": _poses(0, _shift(z=0.002))},
+    ),
+    Fault(
+        "elastic_clamp_turned",
+        "elastic",
+        {"processes.hotwire.plan.elastic.job:_targets": _own_poses(_turn(2, 0.03))},
+    ),
+    Fault(
+        "elastic_feed_times_ten",
+        "elastic",
+        {"processes.hotwire.plan.elastic.job:_targets": fields(feed=_scaled(10.0))},
+    ),
+    Fault(
+        "elastic_travel_in_mm",
+        "elastic",
+        {"processes.hotwire.plan.elastic.job:_targets": fields(travel=_scaled(1e-3))},
+    ),
+    Fault(
+        "elastic_no_heating", "elastic", {"processes.hotwire.plan.elastic.job:_actions": result(_short_waits)}
+    ),
+    Fault("elastic_power_late", "elastic", {"processes.hotwire.plan.elastic.job:_actions": result(_late)}),
+    Fault(
+        "elastic_signal_other", "elastic", {"processes.hotwire.plan.elastic.job:_actions": result(_renamed)}
+    ),
+    Fault(
+        "elastic_not_asked",
+        "elastic",
+        {"processes.hotwire.plan.elastic.job:_actions": result(_without("confirm"))},
+    ),
+    Fault(
+        "elastic_told_too_long",
+        "elastic",
+        {"processes.hotwire.plan.wire:Wire.cold_length": result(_scaled(1.01))},
+    ),
+    Fault(
+        "elastic_told_too_near",
+        "elastic",
+        {"processes.hotwire.plan.elastic.job:mount_figures": result(_nearer)},
+    ),
+    Fault(
+        "elastic_section_lost",
+        "elastic",
+        {"processes.hotwire.plan.elastic.path:cut_places": result(_thin_out)},
+    ),
+    Fault(
+        "elastic_length_longer",
+        "elastic",
+        {"processes.hotwire.plan.elastic.path:from_states": given(2, _scaled(1.02))},
+    ),
 )
 
 
@@ -269,50 +321,94 @@ def _swapped_halves(half: Any) -> Any:
 
 STRAIGHT: Final = (
     Fault(
-        "straight_other_side_of_kerf", "ruled", {"hotwire.straight.offset:beside": fields(half=_scaled(-1.0))}
+        "straight_other_side_of_kerf",
+        "ruled",
+        {"processes.hotwire.plan.straight.offset:beside": fields(half=_scaled(-1.0))},
     ),
-    Fault("straight_half_kerf", "ruled", {"hotwire.straight.offset:beside": fields(half=_scaled(0.3))}),
-    Fault("straight_no_kerf", "plate", {"hotwire.straight.offset:beside": fields(half=_scaled(0.0))}),
+    Fault(
+        "straight_half_kerf",
+        "ruled",
+        {"processes.hotwire.plan.straight.offset:beside": fields(half=_scaled(0.3))},
+    ),
+    Fault(
+        "straight_no_kerf",
+        "plate",
+        {"processes.hotwire.plan.straight.offset:beside": fields(half=_scaled(0.0))},
+    ),
     Fault(
         "straight_kerf_ends_swapped",
         "tapered",
-        {"hotwire.straight.offset:beside": fields(half=_swapped_halves)},
+        {"processes.hotwire.plan.straight.offset:beside": fields(half=_swapped_halves)},
     ),
-    Fault("straight_kerf_doubled", "plate", {"hotwire.operation:Heat.kerf_curve": _curve_wider(1.5)}),
+    Fault(
+        "straight_kerf_doubled",
+        "plate",
+        {"processes.hotwire.plan.operation:Heat.kerf_curve": _curve_wider(1.5)},
+    ),
     Fault(
         "straight_shifted",
         "ruled",
-        {"hotwire.straight.cut:make_cut": result(lambda c: of(c, on=_lifted(0.0008)))},
+        {"processes.hotwire.plan.straight.cut:make_cut": result(lambda c: of(c, on=_lifted(0.0008)))},
     ),
     Fault(
         "straight_pose_off",
         "ruled",
-        {"hotwire.straight.job:poses": result(lambda p: p @ _shift(z=0.0008))},
+        {"processes.hotwire.plan.straight.job:poses": result(lambda p: p @ _shift(z=0.0008))},
     ),
     Fault(
         "straight_pose_turned",
         "wing",
-        {"hotwire.straight.job:poses": result(lambda p: p @ _turn(2, 0.01))},
+        {"processes.hotwire.plan.straight.job:poses": result(lambda p: p @ _turn(2, 0.01))},
     ),
-    Fault("straight_slide_too_far", "ruled", {"hotwire.straight.job:freedoms": result(_far_slide)}),
-    Fault("straight_slit_through_part", "plate", {"hotwire.straight.cut:choose": result(_through)}),
+    Fault(
+        "straight_slide_too_far",
+        "ruled",
+        {"processes.hotwire.plan.straight.job:freedoms": result(_far_slide)},
+    ),
+    Fault(
+        "straight_slit_through_part",
+        "plate",
+        {"processes.hotwire.plan.straight.cut:choose": result(_through)},
+    ),
     Fault(
         "straight_outline_first",
         "plate",
-        {"hotwire.straight.order:wanted_surfaces": result(lambda w: w[::-1])},
+        {"processes.hotwire.plan.straight.order:wanted_surfaces": result(lambda w: w[::-1])},
     ),
     Fault(
-        "straight_surface_lost", "plate", {"hotwire.straight.order:wanted_surfaces": result(lambda w: w[:-1])}
+        "straight_surface_lost",
+        "plate",
+        {"processes.hotwire.plan.straight.order:wanted_surfaces": result(lambda w: w[:-1])},
     ),
-    Fault("straight_feed_times_ten", "ruled", {"hotwire.straight.job:_feeds": result(_scaled(10.0))}),
-    Fault("straight_feed_tenth", "ruled", {"hotwire.straight.job:_feeds": result(_scaled(0.1))}),
-    Fault("straight_no_heating", "ruled", {"hotwire.straight.route:actions": result(_short_waits)}),
-    Fault("straight_power_late", "ruled", {"hotwire.straight.route:actions": result(_late)}),
-    Fault("straight_signal_other", "ruled", {"hotwire.straight.route:actions": result(_renamed)}),
-    Fault("held_grip_off", "held_side", {"hotwire.straight.job:_targets": _poses(0, _shift(x=0.001))}),
-    Fault("held_grip_upside_down", "held", {"hotwire.straight.job:_targets": _poses(0, _turn(2, 0.02))}),
-    Fault("held_mass_lost", "held", {"post.steps:_load": fields(mass=_scaled(0.3))}),
-    Fault("held_load_forgotten", "held", {"post.steps:carries": always({})}),
+    Fault(
+        "straight_feed_times_ten",
+        "ruled",
+        {"processes.hotwire.plan.straight.job:_feeds": result(_scaled(10.0))},
+    ),
+    Fault(
+        "straight_feed_tenth", "ruled", {"processes.hotwire.plan.straight.job:_feeds": result(_scaled(0.1))}
+    ),
+    Fault(
+        "straight_no_heating",
+        "ruled",
+        {"processes.hotwire.plan.straight.route:actions": result(_short_waits)},
+    ),
+    Fault("straight_power_late", "ruled", {"processes.hotwire.plan.straight.route:actions": result(_late)}),
+    Fault(
+        "straight_signal_other", "ruled", {"processes.hotwire.plan.straight.route:actions": result(_renamed)}
+    ),
+    Fault(
+        "held_grip_off",
+        "held_side",
+        {"processes.hotwire.plan.straight.job:_targets": _poses(0, _shift(x=0.001))},
+    ),
+    Fault(
+        "held_grip_upside_down",
+        "held",
+        {"processes.hotwire.plan.straight.job:_targets": _poses(0, _turn(2, 0.02))},
+    ),
+    Fault("held_mass_lost", "held", {"languages.writing.steps:_load": fields(mass=_scaled(0.3))}),
+    Fault("held_load_forgotten", "held", {"languages.writing.steps:carries": always({})}),
     Fault("straight_sampled_coarsely", "wing", {"geometry.rulings:resample": _coarse}),
 )
 
@@ -321,52 +417,75 @@ STRAIGHT: Final = (
 
 FORMING: Final = (
     Fault(
-        "form_ball_too_deep", "spif", {"forming.paths.contact_path:make_path": fields(centre=_off(z=-0.0003))}
+        "form_ball_too_deep",
+        "spif",
+        {"processes.forming.plan.paths.contact_path:make_path": fields(centre=_off(z=-0.0003))},
     ),
     Fault(
-        "form_ball_too_high", "spif", {"forming.paths.contact_path:make_path": fields(centre=_off(z=0.0005))}
+        "form_ball_too_high",
+        "spif",
+        {"processes.forming.plan.paths.contact_path:make_path": fields(centre=_off(z=0.0005))},
     ),
-    Fault("form_ball_aside", "spif", {"forming.paths.contact_path:make_path": fields(centre=_off(x=0.0008))}),
-    Fault("form_ball_smaller", "spif", {"forming.paths.contact_path:make_path": given(1, _scaled(0.9))}),
+    Fault(
+        "form_ball_aside",
+        "spif",
+        {"processes.forming.plan.paths.contact_path:make_path": fields(centre=_off(x=0.0008))},
+    ),
+    Fault(
+        "form_ball_smaller",
+        "spif",
+        {"processes.forming.plan.paths.contact_path:make_path": given(1, _scaled(0.9))},
+    ),
     Fault(
         "form_step_doubled",
         "spif",
-        {"forming.process_plan:Work.options": result(lambda o: of(o, stepdown=_scaled(1.6)))},
+        {"processes.forming.plan.process_plan:Work.options": result(lambda o: of(o, stepdown=_scaled(1.6)))},
     ),
     Fault(
         "form_level_left_out",
         "spif",
-        {"forming.paths.contact_path:constant_levels": result(lambda z: np.delete(z, len(z) // 2))},
+        {
+            "processes.forming.plan.paths.contact_path:constant_levels": result(
+                lambda z: np.delete(z, len(z) // 2)
+            )
+        },
     ),
-    Fault("form_half_the_depth", "spif", {"forming.paths.contact_path:make_path": _half_path}),
+    Fault("form_half_the_depth", "spif", {"processes.forming.plan.paths.contact_path:make_path": _half_path}),
     Fault(
         "form_thickness_lost",
         "spif",
-        {"forming.passes:_final": fields(vertices=_off(z=-0.001), start=_scaled(1.0))},
+        {"processes.forming.plan.passes:_final": fields(vertices=_off(z=-0.001), start=_scaled(1.0))},
     ),
-    Fault("form_tip_for_centre", "spif", {"forming.job:poses": given(0, _off(z=-0.006))}),
-    Fault("form_feed_times_ten", "spif", {"forming.job:_targets": fields(feed=_scaled(10.0))}),
-    Fault("form_feed_in_wrong_unit", "dsif", {"forming.job:_targets": fields(travel=_scaled(0.1))}),
+    Fault("form_tip_for_centre", "spif", {"processes.forming.plan.job:poses": given(0, _off(z=-0.006))}),
+    Fault("form_feed_times_ten", "spif", {"processes.forming.plan.job:_targets": fields(feed=_scaled(10.0))}),
+    Fault(
+        "form_feed_in_wrong_unit",
+        "dsif",
+        {"processes.forming.plan.job:_targets": fields(travel=_scaled(0.1))},
+    ),
     Fault(
         "form_support_shifted",
         "dsif",
-        {"forming.support.modes:opposite_path": fields(support=_off(x=0.0005))},
+        {"processes.forming.plan.support.modes:opposite_path": fields(support=_off(x=0.0005))},
     ),
     Fault(
         "form_support_farther",
         "dsif",
-        {"forming.support.modes:opposite_path": fields(support=_off(z=-0.0003))},
+        {"processes.forming.plan.support.modes:opposite_path": fields(support=_off(z=-0.0003))},
     ),
     Fault(
         "form_gap_without_sine",
         "dsif",
-        {"forming.sheet_mechanics:_least_up": _no_sine, "forming.sheet_mechanics:by_corner": _flat_corners},
+        {
+            "processes.forming.plan.sheet_mechanics:_least_up": _no_sine,
+            "processes.forming.plan.sheet_mechanics:by_corner": _flat_corners,
+        },
     ),
     Fault(
         "form_squeeze_lost",
         "dsif_squeezed",
         {
-            "forming.support.opposite:opposite_path": given(
+            "processes.forming.plan.support.opposite:opposite_path": given(
                 2, lambda op: op.model_copy(update={"squeeze": 1.0})
             )
         },
@@ -374,140 +493,202 @@ FORMING: Final = (
     Fault(
         "form_support_turned",
         "dpif_l_shifted",
-        {"forming.support.modes:opposite_path": fields(support=_off(y=0.0008))},
+        {"processes.forming.plan.support.modes:opposite_path": fields(support=_off(y=0.0008))},
     ),
-    Fault("form_border_off", "dpif_p", {"forming.support.modes:border_curve": result(_wider_ring)}),
+    Fault(
+        "form_border_off",
+        "dpif_p",
+        {"processes.forming.plan.support.modes:border_curve": result(_wider_ring)},
+    ),
     Fault(
         "form_border_lower",
         "dpif_p",
-        {"forming.support.modes:border_path": result(lambda r: (r[0], r[1] - np.array([0, 0, 0.001])))},
+        {
+            "processes.forming.plan.support.modes:border_path": result(
+                lambda r: (r[0], r[1] - np.array([0, 0, 0.001]))
+            )
+        },
     ),
     Fault(
         "form_border_without_radius",
         "dpif_p",
-        {"forming.support.modes:border_curve": given(1, lambda h: of(h, radius=_scaled(0.8)))},
+        {"processes.forming.plan.support.modes:border_curve": given(1, lambda h: of(h, radius=_scaled(0.8)))},
     ),
     Fault(
         "form_heat_other_place",
         "heat",
-        {"forming.support.modes:heated": result(lambda r: (r[0], r[1] + np.array([0.006, 0, 0]), r[2]))},
+        {
+            "processes.forming.plan.support.modes:heated": result(
+                lambda r: (r[0], r[1] + np.array([0.006, 0, 0]), r[2])
+            )
+        },
     ),
     Fault(
         "form_children_first",
         "two_features",
-        {"forming.features.tree:in_place": result(lambda order: order[::-1])},
+        {"processes.forming.plan.features.tree:in_place": result(lambda order: order[::-1])},
     ),
-    Fault("form_feature_lost", "two_features", {"forming.passes:passes": result(lambda p: p[:1])}),
-    Fault("form_feature_twice", "two_features", {"forming.passes:passes": result(lambda p: (*p, p[-1]))}),
+    Fault(
+        "form_feature_lost", "two_features", {"processes.forming.plan.passes:passes": result(lambda p: p[:1])}
+    ),
+    Fault(
+        "form_feature_twice",
+        "two_features",
+        {"processes.forming.plan.passes:passes": result(lambda p: (*p, p[-1]))},
+    ),
     Fault(
         "form_feature_level",
         "two_features",
-        {"forming.features.tree:sheet_level": result(lambda z: z + 0.001)},
+        {"processes.forming.plan.features.tree:sheet_level": result(lambda z: z + 0.001)},
     ),
     Fault(
         "adsif_shifted",
         "adsif_small",
-        {"forming.paths.adsif_path:adsif_tool_path": fields(former=_off(x=0.003), support=_off(x=0.003))},
+        {
+            "processes.forming.plan.paths.adsif_path:adsif_tool_path": fields(
+                former=_off(x=0.003), support=_off(x=0.003)
+            )
+        },
     ),
     Fault(
         "adsif_mirrored_angle",
         "adsif",
-        {"forming.paths.adsif_response:invert": result(lambda r: (-r[0], r[1]))},
+        {"processes.forming.plan.paths.adsif_response:invert": result(lambda r: (-r[0], r[1]))},
     ),
     Fault(
         "adsif_angle_off",
         "adsif",
-        {"forming.paths.adsif_response:invert": result(lambda r: (0.8 * r[0], r[1]))},
+        {"processes.forming.plan.paths.adsif_response:invert": result(lambda r: (0.8 * r[0], r[1]))},
     ),
     Fault(
         "adsif_gap_in_sheets",
         "adsif",
-        {"forming.paths.adsif_response:invert": result(lambda r: (r[0], 1.5 * r[1]))},
+        {"processes.forming.plan.paths.adsif_response:invert": result(lambda r: (r[0], 1.5 * r[1]))},
     ),
-    Fault("adsif_pitch_tripled", "adsif", {"forming.paths.adsif_path:_levels": given(1, _scaled(3.0))}),
+    Fault(
+        "adsif_pitch_tripled",
+        "adsif",
+        {"processes.forming.plan.paths.adsif_path:_levels": given(1, _scaled(3.0))},
+    ),
     Fault(
         "adsif_too_shallow",
         "adsif",
-        {"forming.paths.adsif_path:adsif_tool_path": fields(former=_off(z=0.001), support=_off(z=0.001))},
+        {
+            "processes.forming.plan.paths.adsif_path:adsif_tool_path": fields(
+                former=_off(z=0.001), support=_off(z=0.001)
+            )
+        },
     ),
     Fault(
-        "adsif_wall_steeper", "adsif", {"forming.paths.adsif_path:_contact": fields(angle=lambda a: a + 0.05)}
+        "adsif_wall_steeper",
+        "adsif",
+        {"processes.forming.plan.paths.adsif_path:_contact": fields(angle=lambda a: a + 0.05)},
     ),
-    Fault("tpif_pulse_lost", "tpif", {"forming.two_point:pulses": result(_one_less)}),
-    Fault("tpif_pulses_late", "tpif", {"forming.two_point:pulses": result(_late_pulses)}),
-    Fault("tpif_step_halved", "tpif", {"forming.two_point:holder_step": result(_scaled(0.5))}),
-    Fault("tpif_signal_other", "tpif", {"forming.job:_actions": result(_renamed)}),
+    Fault("tpif_pulse_lost", "tpif", {"processes.forming.plan.two_point:pulses": result(_one_less)}),
+    Fault("tpif_pulses_late", "tpif", {"processes.forming.plan.two_point:pulses": result(_late_pulses)}),
+    Fault("tpif_step_halved", "tpif", {"processes.forming.plan.two_point:holder_step": result(_scaled(0.5))}),
+    Fault("tpif_signal_other", "tpif", {"processes.forming.plan.job:_actions": result(_renamed)}),
 )
 
 
 # ---- milling ----
 
 MILLING: Final = (
-    Fault("flank_other_side", "flank", {"milling.cutter_contact:axes": given(1, _scaled(-1.0))}),
-    Fault("flank_half_radius", "flank", {"milling.flank_cut:placed": given(3, _scaled(0.5))}),
-    Fault("flank_diameter_for_radius", "flank", {"milling.flank_cut:placed": given(3, _scaled(2.0))}),
-    Fault("flank_tip_high", "flank", {"milling.flank_cut:under": result(lambda u: u - 0.006)}),
-    Fault("flank_shifted", "flank", {"milling.flank_cut:_run": result(_run_moved(y=0.001))}),
-    Fault("form_tools_lean", "dsif", {"forming.support.directions:axes": result(_leaning)}),
     Fault(
-        "form_lean_in_degrees", "spif", {"forming.support.directions:axes": given(1, lambda lean: lean + 0.2)}
+        "flank_other_side", "flank", {"processes.milling.plan.cutter_contact:axes": given(1, _scaled(-1.0))}
+    ),
+    Fault("flank_half_radius", "flank", {"processes.milling.plan.flank_cut:placed": given(3, _scaled(0.5))}),
+    Fault(
+        "flank_diameter_for_radius",
+        "flank",
+        {"processes.milling.plan.flank_cut:placed": given(3, _scaled(2.0))},
+    ),
+    Fault("flank_tip_high", "flank", {"processes.milling.plan.flank_cut:under": result(lambda u: u - 0.006)}),
+    Fault("flank_shifted", "flank", {"processes.milling.plan.flank_cut:_run": result(_run_moved(y=0.001))}),
+    Fault("form_tools_lean", "dsif", {"processes.forming.plan.support.directions:axes": result(_leaning)}),
+    Fault(
+        "form_lean_in_degrees",
+        "spif",
+        {"processes.forming.plan.support.directions:axes": given(1, lambda lean: lean + 0.2)},
     ),
     Fault(
         "form_cone_wide",
         "spif",
-        {"forming.job:freedoms": result(_wide_tilts)},
+        {"processes.forming.plan.job:freedoms": result(_wide_tilts)},
     ),
-    Fault("flank_axis_leans", "flank", {"milling.job:poses": given(1, _leaning)}),
-    Fault("lines_step_doubled", "lines", {"milling.point_cut:ridge_step": result(_scaled(2.5))}),
-    Fault("lines_tip_for_centre", "lines", {"milling.point_cut:tips": result(_off(z=-0.001))}),
-    Fault("lines_last_lost", "lines", {"milling.point_cut:_offsets": result(lambda o: o[:-4])}),
+    Fault("flank_axis_leans", "flank", {"processes.milling.plan.job:poses": given(1, _leaning)}),
+    Fault(
+        "lines_step_doubled", "lines", {"processes.milling.plan.point_cut:ridge_step": result(_scaled(2.5))}
+    ),
+    Fault("lines_tip_for_centre", "lines", {"processes.milling.plan.point_cut:tips": result(_off(z=-0.001))}),
+    Fault(
+        "lines_last_lost", "lines", {"processes.milling.plan.point_cut:_offsets": result(lambda o: o[:-4])}
+    ),
     Fault(
         "engrave_depth_doubled",
         "engrave",
         {
-            "milling.point_cut:engraved_runs": given(
+            "processes.milling.plan.point_cut:engraved_runs": given(
                 1, lambda c: c.model_copy(update={"depth_mm": 2.0 * c.depth_mm})
             )
         },
     ),
     Fault(
-        "engrave_mirrored", "engrave", {"milling.point_cut:_along": result(lambda p: p * [1.0, -1.0, 1.0])}
+        "engrave_mirrored",
+        "engrave",
+        {"processes.milling.plan.point_cut:_along": result(lambda p: p * [1.0, -1.0, 1.0])},
     ),
     Fault(
         "engrave_depth_up",
         "engrave",
         {
-            "milling.point_cut:engraved_runs": given(
+            "processes.milling.plan.point_cut:engraved_runs": given(
                 1, lambda c: c.model_copy(update={"depth_mm": -c.depth_mm})
             )
         },
     ),
     Fault(
-        "engrave_curve_moved", "engrave", {"milling.cutter_contact:Over.at": given(1, lambda xy: xy + 0.001)}
+        "engrave_curve_moved", "engrave", {"geometry.face_places:Over.at": given(1, lambda xy: xy + 0.001)}
     ),
-    Fault("gcode_shifted", "gcode", {"milling.gcode.reader:read": result(_program_moved(x=0.002))}),
-    Fault("gcode_inch_as_mm", "gcode", {"milling.gcode.state:INCH": value(0.025)}),
+    Fault(
+        "gcode_shifted",
+        "gcode",
+        {"processes.milling.plan.gcode.reader:read": result(_program_moved(x=0.002))},
+    ),
+    Fault("gcode_inch_as_mm", "gcode", {"processes.milling.plan.gcode.state:INCH": value(0.025)}),
     Fault(
         "gcode_offset_lost",
         "gcode",
-        {"milling.operation:GCodeFile.dialect": fields(offsets=lambda o: dict.fromkeys(o, (0.0, 0.0, 0.0)))},
+        {
+            "processes.milling.plan.operation:GCodeFile.dialect": fields(
+                offsets=lambda o: dict.fromkeys(o, (0.0, 0.0, 0.0))
+            )
+        },
     ),
     Fault(
         "gcode_origin_lost",
         "gcode",
-        {"milling.operation:GCodeFile.dialect": fields(place=lambda p: np.eye(4))},
+        {"processes.milling.plan.operation:GCodeFile.dialect": fields(place=lambda p: np.eye(4))},
     ),
-    Fault("gcode_arcs_other_way", "gcode", {"milling.gcode.moves:sweep_of": _long_way}),
-    Fault("gcode_arcs_as_chords", "gcode", {"milling.gcode.moves:points": result(lambda p: p[-1:])}),
-    Fault("gcode_increments_absolute", "gcode", {"milling.gcode.moves:_place": _always_absolute}),
-    Fault("gcode_feed_per_second", "gcode", {"milling.gcode.moves:_feed": result(_scaled(60.0))}),
-    Fault("gcode_line_lost", "gcode", {"milling.process_plan:_kept": result(_rows_lost)}),
-    Fault("gcode_thinned", "gcode", {"milling.process_plan:CHORD_SHARE": value(20.0)}),
+    Fault("gcode_arcs_other_way", "gcode", {"processes.milling.plan.gcode.moves:sweep_of": _long_way}),
+    Fault(
+        "gcode_arcs_as_chords",
+        "gcode",
+        {"processes.milling.plan.gcode.moves:points": result(lambda p: p[-1:])},
+    ),
+    Fault(
+        "gcode_increments_absolute", "gcode", {"processes.milling.plan.gcode.moves:_place": _always_absolute}
+    ),
+    Fault(
+        "gcode_feed_per_second", "gcode", {"processes.milling.plan.gcode.moves:_feed": result(_scaled(60.0))}
+    ),
+    Fault("gcode_line_lost", "gcode", {"processes.milling.plan.process_plan:_kept": result(_rows_lost)}),
+    Fault("gcode_thinned", "gcode", {"processes.milling.plan.process_plan:CHORD_SHARE": value(20.0)}),
     Fault(
         "gcode_rotary_sign",
         "gcode_rotary",
         {
-            "milling.gcode.state:convention": result(
+            "processes.milling.plan.gcode.state:convention": result(
                 lambda c: of(c, chain=lambda x: tuple((a, -s) for a, s in x))
             )
         },
@@ -515,16 +696,32 @@ MILLING: Final = (
     Fault(
         "gcode_rotary_order",
         "gcode_rotary",
-        {"milling.gcode.state:convention": result(lambda c: of(c, chain=lambda x: x[::-1]))},
+        {"processes.milling.plan.gcode.state:convention": result(lambda c: of(c, chain=lambda x: x[::-1]))},
     ),
-    Fault("gcode_degrees", "gcode_rotary", {"milling.gcode.state:Convention.axis": given(1, _scaled(0.9))}),
-    Fault("mill_rapid_plunge", "engrave", {"milling.tool_path:lay_out": fields(feed=_scaled(5.0))}),
-    Fault("mill_feed_times_ten", "flank", {"milling.job:_targets": fields(feed=_scaled(10.0))}),
-    Fault("mill_spindle_off", "flank", {"milling.job:_actions": result(_without("on"))}),
-    Fault("mill_no_spin_up", "flank", {"milling.job:_actions": result(_short_waits)}),
-    Fault("mill_signal_other", "flank", {"milling.job:_actions": result(_renamed)}),
-    Fault("mill_pass_lost", "flank_rough", {"milling.process_plan:Work.runs": result(lambda r: r[1:])}),
-    Fault("mill_longer_cutter", "engrave", {"milling.job:_targets": _own_poses(_shift(z=0.001))}),
+    Fault(
+        "gcode_degrees",
+        "gcode_rotary",
+        {"processes.milling.plan.gcode.state:Convention.axis": given(1, _scaled(0.9))},
+    ),
+    Fault(
+        "mill_rapid_plunge",
+        "engrave",
+        {"processes.milling.plan.tool_path:lay_out": fields(feed=_scaled(5.0))},
+    ),
+    Fault(
+        "mill_feed_times_ten", "flank", {"processes.milling.plan.job:_targets": fields(feed=_scaled(10.0))}
+    ),
+    Fault("mill_spindle_off", "flank", {"processes.milling.plan.job:_actions": result(_without("on"))}),
+    Fault("mill_no_spin_up", "flank", {"processes.milling.plan.job:_actions": result(_short_waits)}),
+    Fault("mill_signal_other", "flank", {"processes.milling.plan.job:_actions": result(_renamed)}),
+    Fault(
+        "mill_pass_lost",
+        "flank_rough",
+        {"processes.milling.plan.process_plan:Work.runs": result(lambda r: r[1:])},
+    ),
+    Fault(
+        "mill_longer_cutter", "engrave", {"processes.milling.plan.job:_targets": _own_poses(_shift(z=0.001))}
+    ),
 )
 
 FAULTS: Final = (*ELASTIC, *STRAIGHT, *FORMING, *MILLING)

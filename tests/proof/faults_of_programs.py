@@ -148,68 +148,94 @@ def _other_columns(along: Any) -> Any:
 
 
 RAPID: Final = (
-    Fault("post_metres", "posed", {"post.steps:_written": _positions(_scaled(1e-3))}),
-    Fault("post_rounded_to_mm", "posed", {"post.steps:_written": _positions(np.round)}),
-    Fault("post_rounded_wing", "wing", {"post.steps:_written": _positions(np.round)}),
-    Fault("post_rounded_dish", "dsif", {"post.steps:_written": _positions(np.round)}),
+    Fault("post_metres", "posed", {"languages.writing.steps:_written": _positions(_scaled(1e-3))}),
+    Fault("post_rounded_to_mm", "posed", {"languages.writing.steps:_written": _positions(np.round)}),
+    Fault("post_rounded_wing", "wing", {"languages.writing.steps:_written": _positions(np.round)}),
+    Fault("post_rounded_dish", "dsif", {"languages.writing.steps:_written": _positions(np.round)}),
     Fault(
         "post_quaternion_last",
         "posed",
-        {"post.steps:_written": _quaternions(lambda q: np.roll(q, -1, axis=1))},
+        {"languages.writing.steps:_written": _quaternions(lambda q: np.roll(q, -1, axis=1))},
     ),
     Fault(
         "post_quaternion_conjugate",
         "flank",
-        {"post.steps:_written": _quaternions(lambda q: q * [1, -1, -1, -1])},
+        {"languages.writing.steps:_written": _quaternions(lambda q: q * [1, -1, -1, -1])},
     ),
-    Fault("post_mirrored", "ruled", {"post.steps:_written": _positions(lambda p: p * [1.0, -1.0, 1.0])}),
-    Fault("post_axes_swapped", "oval", {"post.steps:_written": _positions(lambda p: p[:, [1, 0, 2]])}),
-    Fault("post_arms_swapped", "dsif", {"post.steps:_written": result(_swapped)}),
-    Fault("post_arms_swapped_wire", "elastic", {"post.steps:_written": result(_swapped)}),
+    Fault(
+        "post_mirrored",
+        "ruled",
+        {"languages.writing.steps:_written": _positions(lambda p: p * [1.0, -1.0, 1.0])},
+    ),
+    Fault(
+        "post_axes_swapped",
+        "oval",
+        {"languages.writing.steps:_written": _positions(lambda p: p[:, [1, 0, 2]])},
+    ),
+    Fault("post_arms_swapped", "dsif", {"languages.writing.steps:_written": result(_swapped)}),
+    Fault("post_arms_swapped_wire", "elastic", {"languages.writing.steps:_written": result(_swapped)}),
     Fault(
         "post_spin_lost",
         "posed",
-        {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))},
+        {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))},
     ),
     Fault(
         "post_slide_lost",
         "held",
-        {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))},
+        {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))},
     ),
     Fault(
         "post_spin_twice",
         "posed",
-        {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
+        {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
     ),
     Fault(
         "post_tilt_twice",
         "dsif",
-        {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
+        {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
     ),
-    Fault("post_slack_off", "elastic", {"post.steps:_written": given(0, _slack_off)}),
-    Fault("gantry_value_off", "gantry", {"post.steps:_outer": result(_first_off)}),
-    Fault("gantry_values_swapped", "gantry", {"post.steps:_outer": result(_values_swapped)}),
-    Fault("gantry_values_swapped_krl", "gantry_krl", {"post.steps:_outer": result(_values_swapped)}),
-    Fault("gantry_in_metres", "gantry", {"post.steps:_outer": result(_in_metres)}),
+    Fault("post_slack_off", "elastic", {"languages.writing.steps:_written": given(0, _slack_off)}),
+    Fault("gantry_value_off", "gantry", {"languages.writing.steps:_outer": result(_first_off)}),
+    Fault("gantry_values_swapped", "gantry", {"languages.writing.steps:_outer": result(_values_swapped)}),
+    Fault(
+        "gantry_values_swapped_krl", "gantry_krl", {"languages.writing.steps:_outer": result(_values_swapped)}
+    ),
+    Fault("gantry_in_metres", "gantry", {"languages.writing.steps:_outer": result(_in_metres)}),
     Fault("gantry_order_reversed", "gantry", {"problem:in_turn": result(lambda names: names[::-1])}),
-    Fault("gantry_unit_off", "gantry", {"post.rapid.program:identifier": given(0, lambda u: f"{u}_2")}),
-    Fault("gantry_look_swapped", "gantry_krl", {"post.krl.syntax:robroot_check": given(2, _other_columns)}),
-    Fault("post_every_second", "posed", {"post.steps:_kept": result(_every_second)}),
-    Fault("post_every_second_cut", "wing", {"post.steps:_kept": result(_every_second)}),
-    Fault("post_target_lost", "posed", {"post.steps:_kept": result(_one_lost)}),
-    Fault("post_times_halved", "ruled", {"post.steps:_durations": result(_scaled(0.5))}),
-    Fault("post_times_doubled", "elastic", {"post.steps:_durations": result(_scaled(3.0))}),
+    Fault(
+        "gantry_unit_off",
+        "gantry",
+        {"languages.rapid.writer.program:identifier": given(0, lambda u: f"{u}_2")},
+    ),
+    Fault(
+        "gantry_look_swapped",
+        "gantry_krl",
+        {"languages.krl.writer.syntax:robroot_check": given(2, _other_columns)},
+    ),
+    Fault("post_every_second", "posed", {"languages.writing.steps:_kept": result(_every_second)}),
+    Fault("post_every_second_cut", "wing", {"languages.writing.steps:_kept": result(_every_second)}),
+    Fault("post_target_lost", "posed", {"languages.writing.steps:_kept": result(_one_lost)}),
+    Fault("post_times_halved", "ruled", {"languages.writing.steps:_durations": result(_scaled(0.5))}),
+    Fault("post_times_doubled", "elastic", {"languages.writing.steps:_durations": result(_scaled(3.0))}),
     Fault(
         "post_stops_lost",
         "plate",
-        {"post.steps:_stops": result(lambda s: np.append(np.zeros(len(s) - 1, dtype=bool), True))},
+        {
+            "languages.writing.steps:_stops": result(
+                lambda s: np.append(np.zeros(len(s) - 1, dtype=bool), True)
+            )
+        },
     ),
-    Fault("post_work_object_world", "spif", {"post.rapid.data:wobj_name": given(0, lambda f: "world")}),
+    Fault(
+        "post_work_object_world",
+        "spif",
+        {"languages.rapid.writer.data:wobj_name": given(0, lambda f: "world")},
+    ),
     Fault(
         "post_place_moved",
         "flank",
         {
-            "post.rapid.data:_wobjs": given(
+            "languages.rapid.writer.data:_wobjs": given(
                 2, lambda plan: of(plan, places=lambda ps: tuple(map(_moved(x=0.005), ps)))
             )
         },
@@ -218,19 +244,21 @@ RAPID: Final = (
         "post_held_frame_lost",
         "held",
         {
-            "post.rapid.data:_held": given(
+            "languages.rapid.writer.data:_held": given(
                 1, lambda op: of(op, arm=lambda a: of(a, tool=lambda t: of(t, tcp=lambda p: np.eye(4))))
             )
         },
     ),
     Fault(
-        "post_tool_length", "posed", {"post.rapid.data:_tool": given(0, lambda t: of(t, tcp=_moved(z=0.001)))}
+        "post_tool_length",
+        "posed",
+        {"languages.rapid.writer.data:_tool": given(0, lambda t: of(t, tcp=_moved(z=0.001)))},
     ),
     Fault(
         "post_tool_turned",
         "ruled",
         {
-            "post.rapid.data:_tool": given(
+            "languages.rapid.writer.data:_tool": given(
                 0, lambda t: of(t, tcp=lambda p: p @ np.diag([-1.0, -1.0, 1.0, 1.0]))
             )
         },
@@ -238,28 +266,32 @@ RAPID: Final = (
     Fault(
         "post_tool_weightless",
         "ruled",
-        {"post.rapid.data:_tool": given(0, lambda t: of(t, mass=_scaled(0.1)))},
+        {"languages.rapid.writer.data:_tool": given(0, lambda t: of(t, mass=_scaled(0.1)))},
     ),
     Fault(
         "post_base_frame_off",
         "elastic",
         {
-            "post.steps:build": result(
+            "languages.writing.steps:build": result(
                 lambda job: of(job, tasks=lambda ts: tuple(of(t, base=_moved(x=0.01)) for t in ts))
             )
         },
     ),
-    Fault("post_confdata_zero", "ruled", {"post.rapid.syntax:confdata": result(_scaled(0))}),
+    Fault("post_confdata_zero", "ruled", {"languages.rapid.writer.syntax:confdata": result(_scaled(0))}),
     Fault(
         "post_zones_large",
         "spif",
-        {"post.rapid.syntax:zones": lambda old: lambda track, stop: np.where(stop, "fine", "z10")},
+        {
+            "languages.rapid.writer.syntax:zones": lambda old: (
+                lambda track, stop: np.where(stop, "fine", "z10")
+            )
+        },
     ),
     Fault(
         "post_zones_none_fine",
         "plate",
         {
-            "post.rapid.syntax:zones": lambda old: (
+            "languages.rapid.writer.syntax:zones": lambda old: (
                 lambda track, stop: np.where(old(track, stop) == "fine", "z10", old(track, stop))
             )
         },
@@ -269,41 +301,71 @@ RAPID: Final = (
         "flank_rough",
         {"geometry.corner_rounding:room": result(lambda r: tuple(8.0 * v for v in r))},
     ),
-    Fault("post_joints_degrees", "posed", {"post.rapid.syntax:jointtarget": given(0, np.deg2rad)}),
+    Fault(
+        "post_joints_degrees", "posed", {"languages.rapid.writer.syntax:jointtarget": given(0, np.deg2rad)}
+    ),
     Fault(
         "post_waits_ms",
         "ruled",
-        {"post.rapid.syntax:action_lines": given(0, lambda a: of(a, seconds=_scaled(1e-3)))},
+        {"languages.rapid.writer.syntax:action_lines": given(0, lambda a: of(a, seconds=_scaled(1e-3)))},
     ),
-    Fault("post_signal_inverted", "elastic", {"post.rapid.syntax:action_lines": result(_inverted)}),
-    Fault("post_question_lost", "elastic", {"post.rapid.syntax:box": always([])}),
-    Fault("post_meeting_lost", "posed_two", {"post.steps:_Builder._meet": _first_alone}),
-    Fault("post_ids_off", "posed_two", {"post.rapid.program:_moves": _ids_off}),
-    Fault("post_load_moved", "held", {"post.steps:_load": fields(cog=lambda c: c + 0.1)}),
+    Fault(
+        "post_signal_inverted", "elastic", {"languages.rapid.writer.syntax:action_lines": result(_inverted)}
+    ),
+    Fault("post_question_lost", "elastic", {"languages.rapid.writer.syntax:box": always([])}),
+    Fault("post_meeting_lost", "posed_two", {"languages.writing.steps:_Builder._meet": _first_alone}),
+    Fault("post_ids_off", "posed_two", {"languages.rapid.writer.program:_moves": _ids_off}),
+    Fault("post_load_moved", "held", {"languages.writing.steps:_load": fields(cog=lambda c: c + 0.1)}),
 )
 
 HANDSHAKE: Final = (
-    Fault("handshake_no_wait", "handshake", {"post.handshake:Partner.meeting": result(_no_wait)}),
-    Fault("handshake_levels_inverted", "handshake", {"post.handshake:Partner.meeting": result(_set_twice)}),
+    Fault(
+        "handshake_no_wait", "handshake", {"languages.writing.handshake:Partner.meeting": result(_no_wait)}
+    ),
+    Fault(
+        "handshake_levels_inverted",
+        "handshake",
+        {"languages.writing.handshake:Partner.meeting": result(_set_twice)},
+    ),
     Fault(
         "handshake_both_lead",
         "handshake",
-        {"post.handshake:Partner.of": result(lambda p: None if p is None else of(p, lead=lambda v: True))},
+        {
+            "languages.writing.handshake:Partner.of": result(
+                lambda p: None if p is None else of(p, lead=lambda v: True)
+            )
+        },
     ),
-    Fault("handshake_wires_swapped", "handshake", {"post.handshake:Partner.of": result(_other_names)}),
+    Fault(
+        "handshake_wires_swapped",
+        "handshake",
+        {"languages.writing.handshake:Partner.of": result(_other_names)},
+    ),
     Fault(
         "handshake_fewer_meetings",
         "dsif_handshake",
-        {"post.handshake:meeting_rows": given(1, lambda every: 10 * every)},
+        {"languages.writing.handshake:meeting_rows": given(1, lambda every: 10 * every)},
     ),
-    Fault("running_not_looked_at", "handshake", {"post.handshake:Partner.meeting": result(_no_look)}),
-    Fault("running_not_seen_at_0", "handshake", {"post.handshake:Partner.start": result(_no_look)}),
-    Fault("running_lead_goes_on", "handshake", {"post.handshake:Partner.start": result(_goes_on)}),
-    Fault("handshake_meetings_lost", "handshake", {"post.rapid.program:partner_call": _every_other_call}),
+    Fault(
+        "running_not_looked_at",
+        "handshake",
+        {"languages.writing.handshake:Partner.meeting": result(_no_look)},
+    ),
+    Fault(
+        "running_not_seen_at_0", "handshake", {"languages.writing.handshake:Partner.start": result(_no_look)}
+    ),
+    Fault(
+        "running_lead_goes_on", "handshake", {"languages.writing.handshake:Partner.start": result(_goes_on)}
+    ),
+    Fault(
+        "handshake_meetings_lost",
+        "handshake",
+        {"languages.rapid.writer.program:partner_call": _every_other_call},
+    ),
     Fault(
         "handshake_not_stretched",
         "dsif_handshake",
-        {"post.handshake:stretched": lambda old: lambda duration, *more: duration},
+        {"languages.writing.handshake:stretched": lambda old: lambda duration, *more: duration},
     ),
 )
 
@@ -311,74 +373,86 @@ URSCRIPT: Final = (
     Fault(
         "ur_no_wait",
         "handshake_ur",
-        {"post.handshake:Partner.watched_meeting": result(lambda both: tuple(map(_no_wait, both)))},
+        {
+            "languages.writing.handshake:Partner.watched_meeting": result(
+                lambda both: tuple(map(_no_wait, both))
+            )
+        },
     ),
     Fault(
-        "ur_never_watches", "handshake_ur", {"post.urscript.program:_Main._watch": lambda old: lambda *a: []}
+        "ur_never_watches",
+        "handshake_ur",
+        {"languages.urscript.writer.program:_Main._watch": lambda old: lambda *a: []},
     ),
     Fault(
         "ur_watches_the_line",
         "handshake_ur",
-        {"post.urscript.syntax:watch_thread": given(0, lambda number: number - 1)},
+        {"languages.urscript.writer.syntax:watch_thread": given(0, lambda number: number - 1)},
     ),
     Fault(
         "ur_other_input",
         "handshake_ur",
-        {"post.urscript.syntax:wait_function": given(1, lambda number: number + 4)},
+        {"languages.urscript.writer.syntax:wait_function": given(1, lambda number: number + 4)},
     ),
 )
 
 KRL: Final = (
-    Fault("krl_a_for_c", "posed_krl", {"post.krl.syntax:abc": result(_turned_back)}),
-    Fault("krl_radians", "posed_krl", {"post.krl.syntax:abc": result(np.deg2rad)}),
+    Fault("krl_a_for_c", "posed_krl", {"languages.krl.writer.syntax:abc": result(_turned_back)}),
+    Fault("krl_radians", "posed_krl", {"languages.krl.writer.syntax:abc": result(np.deg2rad)}),
     Fault(
-        "krl_base_world", "gcode_krl", {"post.krl.data:Data.base_pose": result(lambda r: (np.eye(4), r[1]))}
+        "krl_base_world",
+        "gcode_krl",
+        {"languages.krl.writer.data:Data.base_pose": result(lambda r: (np.eye(4), r[1]))},
     ),
     Fault(
         "krl_base_inverse",
         "gcode_krl",
-        {"post.krl.data:Data.base_pose": result(lambda r: (np.linalg.inv(r[0]), r[1]))},
+        {"languages.krl.writer.data:Data.base_pose": result(lambda r: (np.linalg.inv(r[0]), r[1]))},
     ),
-    Fault("krl_status", "posed_krl", {"post.krl.data:status": result(lambda s: s ^ 2)}),
-    Fault("krl_turn", "posed_krl", {"post.krl.data:turn": result(lambda t: t ^ 2)}),
-    Fault("krl_speed_mm", "posed_krl", {"post.krl.syntax:rows": fields(speed=_scaled(1e3))}),
-    Fault("krl_speed_tenth", "gcode_krl", {"post.krl.syntax:rows": fields(speed=_scaled(10.0))}),
+    Fault("krl_status", "posed_krl", {"languages.krl.writer.data:status": result(lambda s: s ^ 2)}),
+    Fault("krl_turn", "posed_krl", {"languages.krl.writer.data:turn": result(lambda t: t ^ 2)}),
+    Fault("krl_speed_mm", "posed_krl", {"languages.krl.writer.syntax:rows": fields(speed=_scaled(1e3))}),
+    Fault("krl_speed_tenth", "gcode_krl", {"languages.krl.writer.syntax:rows": fields(speed=_scaled(10.0))}),
     Fault(
         "krl_corners_wide",
         "gcode_krl",
-        {"post.krl.syntax:_corners": result(lambda c: (10.0 * c[0] + 5.0, c[1]))},
+        {"languages.krl.writer.syntax:_corners": result(lambda c: (10.0 * c[0] + 5.0, c[1]))},
     ),
     Fault(
         "krl_tool_off",
         "posed_krl",
-        {"post.krl.data:Data.tool": given(1, lambda t: of(t, tcp=_moved(z=0.001)))},
+        {"languages.krl.writer.data:Data.tool": given(1, lambda t: of(t, tcp=_moved(z=0.001)))},
     ),
-    Fault("krl_joints_off", "posed_krl", {"post.krl.syntax:e6axis": given(0, lambda d: d + 1.0)}),
-    Fault("krl_positions_metres", "gcode_krl", {"post.steps:_written": _positions(_scaled(1e-3))}),
-    Fault("krl_rounded", "gcode_krl", {"post.steps:_written": _positions(np.round)}),
+    Fault("krl_joints_off", "posed_krl", {"languages.krl.writer.syntax:e6axis": given(0, lambda d: d + 1.0)}),
+    Fault(
+        "krl_positions_metres", "gcode_krl", {"languages.writing.steps:_written": _positions(_scaled(1e-3))}
+    ),
+    Fault("krl_rounded", "gcode_krl", {"languages.writing.steps:_written": _positions(np.round)}),
     Fault(
         "krl_spindle_other_output", "gcode_krl", {"problem:Controller.number": result(lambda n: n and n + 1)}
     ),
-    Fault("krl_ptp_fast", "posed_krl", {"post.krl.program:ptp_percent": always(100)}),
+    Fault("krl_ptp_fast", "posed_krl", {"languages.krl.writer.program:ptp_percent": always(100)}),
     Fault(
         "krl_wait_ms",
         "gcode_krl",
-        {"post.krl.program:Main._action": given(1, lambda a: of(a, seconds=_scaled(1e-3)))},
+        {"languages.krl.writer.program:Main._action": given(1, lambda a: of(a, seconds=_scaled(1e-3)))},
     ),
-    Fault("krl_nobody_asked", "posed_krl", {"post.krl.syntax:question_lines": always([])}),
+    Fault("krl_nobody_asked", "posed_krl", {"languages.krl.writer.syntax:question_lines": always([])}),
     Fault(
-        "krl_asked_by_halt", "gcode_krl", {"post.krl.syntax:question_lines": given(1, lambda dialect: "krc2")}
+        "krl_asked_by_halt",
+        "gcode_krl",
+        {"languages.krl.writer.syntax:question_lines": given(1, lambda dialect: "krc2")},
     ),
     Fault(
         "krl_told_in_comments",
         "gcode_krl",
-        {"post.krl.syntax:message_lines": given(1, lambda dialect: "krc2")},
+        {"languages.krl.writer.syntax:message_lines": given(1, lambda dialect: "krc2")},
     ),
-    Fault("krl_foot_not_looked_at", "posed_krl", {"post.krl.syntax:robroot_check": always([])}),
+    Fault("krl_foot_not_looked_at", "posed_krl", {"languages.krl.writer.syntax:robroot_check": always([])}),
     Fault(
         "krl_foot_of_another_arm",
         "posed_krl",
-        {"post.krl.syntax:robroot_check": given(0, lambda arm: "other")},
+        {"languages.krl.writer.syntax:robroot_check": given(0, lambda arm: "other")},
     ),
 )
 

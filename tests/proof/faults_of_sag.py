@@ -26,7 +26,7 @@ def _standing(change: Any) -> dict[str, Any]:
 
 def _claims(change: Any) -> Any:
     """What a claim of sag says is another, for the planner and in what is claimed."""
-    return {"claims.sag:sags": result(lambda made: tuple(change(claim) for claim in made))}
+    return {"cell.sag:sags": result(lambda made: tuple(change(claim) for claim in made))}
 
 
 def _unbent(name: str) -> Any:
@@ -115,8 +115,8 @@ FAULTS: Final = (
     Fault("sag_table_upside_down", "dsif_deep", _forced(lambda force: force[::-1])),
     Fault("sag_claimed_of_another_depth", "dsif_deep", _claims(lambda c: of(c, height=lambda z: z + 5e-4))),
     Fault("sag_table_in_the_tool", "dsif_deep", _standing(_each(frame=_OTHER.get))),
-    Fault("sag_claims_left_out", "posed_sag", {"claims.sag:sags": result(lambda made: ())}),
-    Fault("sag_claim_of_one_arm", "posed_sag", {"claims.sag:sags": result(lambda made: made[:1])}),
+    Fault("sag_claims_left_out", "posed_sag", {"cell.sag:sags": result(lambda made: ())}),
+    Fault("sag_claim_of_one_arm", "posed_sag", {"cell.sag:sags": result(lambda made: made[:1])}),
     Fault("sag_claimed_stiffer", "posed_sag", _claims(lambda c: of(c, joints=lambda joints: 1.2 * joints))),
     Fault("sag_claimed_payload", "posed_sag", _claims(lambda c: of(c, mass=lambda mass: 0.5 * mass))),
     Fault("sag_claimed_force", "posed_sag", _claims(lambda c: of(c, force=lambda force: 0.9 * force))),

@@ -13,7 +13,7 @@ from pathlib import PurePosixPath
 
 from planner.issues import Issue
 from planner.languages.krl.reader.lines import krl_lines
-from planner.languages.krl.rules import power_at_stops as rules_power_at_stops
+from planner.languages.krl.rules import power_at_stops as krl_power_at_stops
 from planner.languages.rapid.reader.configuration import (
     Row,
     UnreadError,
@@ -302,7 +302,7 @@ def _kuka(
     runs = "$PRO_ACT AND $PERI_RDY"
     watched, known = (partner.watched(runs), [partner.seen]) if partner else ([], [])
     runs += f" AND {partner.input}" if partner else ""
-    flags, submit, stopped = rules_power_at_stops.krl_files(controller, arm, signals, lit, runs)
+    flags, submit, stopped = krl_power_at_stops.krl_files(controller, arm, signals, lit, runs)
     declared = [f"DECL BOOL {name}=FALSE" for name in [*flags, *known]]
     wanted = {"config_user.dat": declared, "sps_user.sub": [*watched, *submit]}
     if signals:

@@ -11,7 +11,7 @@ import itertools
 
 import numpy as np
 
-from planner.languages.krl.rules import moves as rules_moves
+from planner.languages.krl.rules import moves as krl_moves
 from planner.languages.rapid.rules.settings import REFUSED_OPTIONS
 from planner.languages.trajectories.reader import flow as trajectory_flow
 from planner.languages.urscript.reader.syntax_tree import STAND
@@ -131,8 +131,8 @@ def move_kinds(context: Context) -> Outcome:
     for task in context.job.tasks:
         if not task.rapid:
             if not outer_axes(task.arm, context.problem.cell.turntable):  # else verify.external_axes looks
-                issues += rules_moves.move_kinds(task)
-            issues += rules_moves.accelerations(task)
+                issues += krl_moves.move_kinds(task)
+            issues += krl_moves.accelerations(task)
             continue
         wanted = "off" if task.arm.data.unnamed else "on"
         state = "on"
@@ -171,7 +171,7 @@ def zone_size(context: Context) -> Outcome:
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
         if task.krl is not None:
-            found, over = rules_moves.corners(task, moves)
+            found, over = krl_moves.corners(task, moves)
             issues += found
             worst = max(worst, over)
             continue

@@ -24,7 +24,7 @@ from planner.processes.forming.proof.state import Forming
 from planner.processes.hotwire.claims import CutsSurface
 from planner.processes.hotwire.proof import made_surfaces
 from planner.processes.hotwire.proof.cut_surface import Sweep
-from planner.processes.milling.proof import made_surfaces as proof_made_surfaces
+from planner.processes.milling.proof import made_surfaces as milling_made_surfaces
 from planner.processes.milling.proof.tool_motion import Milling
 from planner.proof.context import Context
 from planner.proof.part_files import Samples, UnreadError, comparison, on_triangles, pose
@@ -271,7 +271,7 @@ class _Tried:
         self.off = (
             made_surfaces.off_wire(one, places)
             if wire
-            else proof_made_surfaces.off_cutter(milling, one, places)
+            else milling_made_surfaces.off_cutter(milling, one, places)
         )
         self.limit, self.wanted = one.tolerance + surface.spare + READING_ERROR, one.share - SHARE_NOISE
         self.counts = np.ones(len(places.points), dtype=np.bool_)

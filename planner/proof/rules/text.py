@@ -19,7 +19,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 from planner.issues import Issue, Severity
-from planner.languages.krl.rules import moves as rules_moves
+from planner.languages.krl.rules import moves as krl_moves
 from planner.languages.rapid.reader.syntax_tree import QUATERNION_TOLERANCE, Literal
 from planner.programs.job import TRAJECTORY, speaks_trajectories, task_names
 from planner.programs.stages import JobText, TaskText
@@ -277,7 +277,7 @@ def module_size(context: Context) -> Outcome:
     ]
     limit, worst = context.problem.cell.controller.max_moves, 0
     for task in context.job.tasks:
-        found, most = rules_moves.sizes(context, task)
+        found, most = krl_moves.sizes(context, task)
         issues += found
         worst = max(worst, most)
         for module in task.modules:

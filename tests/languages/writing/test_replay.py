@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from planner.programs import job
-from planner.proof import setups as proof_setups
 from planner.proof.replay import playback
+from planner.proof.setups import spans
 from planner.targets import Action
 from tests.languages.writing import synthetic
 from tests.languages.writing.reading import programs
@@ -89,7 +89,7 @@ def test_any_row_of_segments_reads_back_with_pairs_and_points_in_order(segments,
 def test_setups_and_held_blocks_lead_back_to_the_planned_joints(made):
     plan, problem = made()
     text = read(plan, problem)
-    of_stage = proof_setups.spans(problem.setups, text).of_stage
+    of_stage = spans(problem.setups, text).of_stage
     assert sorted(set(of_stage.tolist())) == list(range(len(problem.setups)))
     mounted = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in problem.setups]
     motion = playback.replay(text, plan.bases, [mounted[i] for i in of_stage])

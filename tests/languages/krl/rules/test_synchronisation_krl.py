@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planner.languages.krl.reader import reader
-from planner.languages.krl.rules import moves as rules_moves
+from planner.languages.krl.rules import moves as krl_moves
 from planner.programs.signals import Signals
 from planner.programs.steps import MoveStep
 from tests.languages.krl.reader.wall_program import MAIN, MOVES, OLDER, read
@@ -41,28 +41,28 @@ TURNS = [(-12.0, 40.0, 210.0, a, 80.0, -4.0, "C_ORI") for a in (14.5, 16.5, 18.5
 @pytest.mark.parametrize(("way", "wrong"), [("0.5", False), ("0.51", True), ("3.0", True)])
 def test_a_corner_takes_half_of_the_shorter_move(way, wrong):
     """Between moves of 1 mm."""
-    issues, _ = rules_moves.corners(TASK, moves(ALONG, way=way))
+    issues, _ = krl_moves.corners(TASK, moves(ALONG, way=way))
     assert {issue.code for issue in issues} == ({"verify.zone_size"} if wrong else set())
 
 
 @pytest.mark.parametrize(("angle", "wrong"), [("0.9", False), ("3.0", True)])
 def test_a_corner_without_way_is_held_against_the_turns(angle, wrong):
     """2 degrees about z of a base: half of them is 1 degree."""
-    issues, _ = rules_moves.corners(TASK, moves(TURNS, "krc2", angle=angle))
+    issues, _ = krl_moves.corners(TASK, moves(TURNS, "krc2", angle=angle))
     assert bool(issues) == wrong
 
 
 def test_a_corner_by_angle_alone_is_no_corner_of_ways():
     rows = [(*row[:6], "C_ORI") for row in ALONG]
-    issues, _ = rules_moves.corners(TASK, moves(rows, "krc2", angle="0.001"))
+    issues, _ = krl_moves.corners(TASK, moves(rows, "krc2", angle="0.001"))
     assert issues
 
 
 def test_moves_that_run_together_take_the_same_time():
     a, b, c = (moves(ALONG, cp=cp)[-1] for cp in ("0.02", "0.0201", "0.0205"))
     assert np.allclose([a.time, c.time], [0.05, 1e-3 / 0.0205])
-    assert list(rules_moves.pair_times(TASK, a, TASK, b)) == []
-    (issue,) = rules_moves.pair_times(TASK, a, TASK, c)
+    assert list(krl_moves.pair_times(TASK, a, TASK, b)) == []
+    (issue,) = krl_moves.pair_times(TASK, a, TASK, c)
     assert issue.code == "verify.move_time" and "0.04878" in issue.message
 
 
@@ -71,5 +71,5 @@ def test_moves_as_slow_as_can_be_stated_may_be_early():
     slow = moves(ALONG, cp="0.0001", ori="0.1")[-1]
     other = moves(ALONG, cp="0.00005")[-1]
     assert np.allclose([slow.time, other.time], [10.0, 20.0])
-    assert list(rules_moves.pair_times(TASK, slow, TASK, other)) == []
-    assert len(list(rules_moves.pair_times(TASK, moves(ALONG)[-1], TASK, other))) == 1
+    assert list(krl_moves.pair_times(TASK, slow, TASK, other)) == []
+    assert len(list(krl_moves.pair_times(TASK, moves(ALONG)[-1], TASK, other))) == 1

@@ -155,7 +155,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The problem with its springback file, which the planner has made such."""
     folder = tmp_path_factory.mktemp("steep")
     request = Springback(stated(folder), most_points=4, triangles=3000, write=folder / "back.json")
-    with planner_faults.changed({"forming.springback.compensation:way_of": _sudden}):
+    with planner_faults.changed({"processes.forming.plan.springback.compensation:way_of": _sudden}):
         run_springback(request, planner.load(request.problem))
     return stated(folder, springback={"file": "back.json"})
 

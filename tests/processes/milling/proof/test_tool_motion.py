@@ -14,7 +14,6 @@ from planner.processes import registry
 from planner.processes.forming.proof import face as forming_face
 from planner.processes.forming.proof.face import Face, left_by
 from planner.processes.forming.proof.rules.tool import _places
-from planner.processes.hotwire.proof import cut_surface
 from planner.processes.hotwire.proof.cut_surface import sample_face
 from planner.processes.milling.plan import check
 from planner.processes.milling.proof import tool_motion
@@ -125,7 +124,7 @@ def test_a_mesh_that_is_dense_in_one_place_is_looked_at_all_over() -> None:
 
 def test_long_thin_facets_that_are_too_many_pieces_are_no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
     vertices, faces = uneven()
-    monkeypatch.setattr(cut_surface, "MOST_PIECES", 10_000)
+    monkeypatch.setattr("planner.proof.faces.MOST_PIECES", 10_000)
     with pytest.raises(TandemError) as caught:
         divided(vertices[faces[:2]], 0.002)
     (issue,) = caught.value.issues

@@ -535,14 +535,14 @@ def _all_around(old: Callable[..., Any]) -> Callable[..., Any]:
     return lambda stated, name, points: old(stated, name, points * [0.0, 0.0, 1.0])
 
 
-_AT = "forming.stated_force:Stated.at"
+_AT = "processes.forming.plan.stated_force:Stated.at"
 
 
 @pytest.mark.parametrize(
     ("kind", "changes"),
     [
-        ("figure", {"forming.process_plan:stated": _no_support}),
-        ("table", {"forming.process_plan:stated": _no_support}),
+        ("figure", {"processes.forming.plan.process_plan:stated": _no_support}),
+        ("table", {"processes.forming.plan.process_plan:stated": _no_support}),
         ("table", {_AT: _upside_down}),
         ("file", {_AT: _upside_down}),
         ("file", {_AT: _all_around}),
@@ -639,9 +639,9 @@ def _left_out(old: Callable[..., Any]) -> Callable[..., Any]:
 @pytest.mark.parametrize(
     ("changes", "caught"),
     [
-        ({"forming.springback.compensation:shifted": _turned}, {"verify.springback"}),
-        ({"forming.springback.compensation:shifted": _one_tool}, {"verify.gap"}),
-        ({"forming.claims:claims": _left_out}, {"verify.gouge", "verify.springback"}),
+        ({"processes.forming.plan.springback.compensation:shifted": _turned}, {"verify.springback"}),
+        ({"processes.forming.plan.springback.compensation:shifted": _one_tool}, {"verify.gap"}),
+        ({"processes.forming.plan.claims:claims": _left_out}, {"verify.gouge", "verify.springback"}),
     ],
 )
 def test_faults_of_the_planner_are_not_proven(
