@@ -1,4 +1,4 @@
-"""Imports make no circle, motion and writers of programs know no process, and every folder is documented."""
+"""Imports make no circle, and every folder is documented; for contracts see :mod:`tests.contracts`."""
 
 from __future__ import annotations
 
@@ -15,46 +15,6 @@ PLANNER = ROOT / "planner"
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 TOP = 10
 """Files at the top of the house at most."""
-
-
-def module(path: Path) -> str:
-    """The name of a file's module without ``planner.``."""
-    name = ".".join(path.relative_to(PLANNER).with_suffix("").parts)
-    return name.removesuffix("__init__").removesuffix(".")
-
-
-FILES = {module(path): path for path in PLANNER.rglob("*.py")}
-WORDS_OF_PROGRAMS = {"claims.sentences", "claims.segments", "claims.dialogue", "claims.handshake"}
-"""Modules of claims that motion and writers may know: sentences, signals and names of moves."""
-CLAIMS_OF_NO_PROCESS = {"Claim", "HoldsStock", "ArmSags", "FEED_WAY", "ForceFrame", "on_straight_moves_alone"}
-"""What they may know of ``claims.claim``: what a robot carries and bends under, and kinds by name."""
-
-
-def writes_programs(name: str) -> bool:
-    """Whether a module plans motion or writes programs."""
-    parts = name.split(".")
-    return parts[0] in ("motion", "post") or (parts[0] == "languages" and {"writer", "writing"} & {*parts})
-
-
-def test_motion_and_writers_know_no_process() -> None:
-    """What they need to know about a process is in `Targets`. They do not look for claims of a process."""
-    wrong = set()
-    for file, path in FILES.items():
-        if not writes_programs(file):
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("planner.claims"):
-                package = str(node.module).removeprefix("planner.")
-                known = {alias.name for alias in node.names}
-                if package == "claims":
-                    known = {one for one in known if f"claims.{one}" not in WORDS_OF_PROGRAMS}
-                elif package == "claims.claim":
-                    known -= CLAIMS_OF_NO_PROCESS
-                elif package in WORDS_OF_PROGRAMS:
-                    continue
-                wrong |= {f"{file} imports {package}.{one}" for one in known}
-    assert not wrong, "add what is missing to `Targets` instead"
-
 
 ImportGraph = dict[str, dict[str, int]]
 """Imported files of each file, with the first line that imports them."""
