@@ -12,7 +12,10 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PLANNER = ROOT / "planner"
-PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+PAGES = {
+    name: (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("architecture.md", "extending.md")
+}
+"""Texts of the pages that describe the package, by file name."""
 TOP = 10
 """Files at the top of the house at most."""
 
@@ -124,10 +127,28 @@ def test_the_top_of_the_house_is_small_and_every_folder_says_what_it_holds() -> 
     folders = {path.parent for path in PLANNER.rglob("*.py")}
     for folder in folders:
         assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))), folder
-    listed = set(re.findall(r"`(\w+)/`", PAGE.split("## Folders")[1].split("\n## ")[0]))
-    assert {path.name for path in folders if path.parent == PLANNER} <= listed
 
 
-def test_files_that_the_page_names_are_there() -> None:
-    for name in re.findall(r"`((?:\w+/)*\w+\.py)`", PAGE):
-        assert any((place / name).is_file() for place in (PLANNER, ROOT)) or list(PLANNER.rglob(name)), name
+def section(heading: str) -> str:
+    """Text of the page on the architecture from a heading to the next one."""
+    _, _, text = PAGES["architecture.md"].partition(f"\n## {heading}\n")
+    assert text, f"the page has no section {heading}"
+    return text.partition("\n## ")[0]
+
+
+def test_the_page_lists_every_room() -> None:
+    """The table has one row per folder at the top, and the floors name every room that has code."""
+    rooms = {path.name for path in PLANNER.iterdir() if path.is_dir() and path.name != "__pycache__"}
+    rows = re.findall(r"^\| `(\w+)/` \|", section("Rooms"), re.MULTILINE)
+    assert sorted(rows) == sorted(rooms)
+    modules = {path.stem for path in PLANNER.glob("*.py")} - {"__init__", "__main__"}
+    floors = "\n".join(re.findall(r"^\d+\. (.*)$", section("Floors"), re.MULTILINE))
+    assert sorted(re.findall(r"`(\w+)`", floors)) == sorted((rooms - {"data"}) | modules)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_files_and_folders_that_the_pages_name_are_there(page: str) -> None:
+    """Paths start in ``planner/`` or at the root. A bare file name may stand in any folder of the package."""
+    for name in re.findall(r"`([\w./]+(?:\.py|/))`", PAGES[page]):
+        below = [] if "/" in name else [*PLANNER.rglob(name)]
+        assert any((place / name).exists() for place in (PLANNER, ROOT)) or below, name
