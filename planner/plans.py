@@ -11,6 +11,7 @@ Nothing is pickled.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import io
 import json
@@ -25,11 +26,11 @@ from typing import Any, Final, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.claims import claim
 from planner.claims.segments import Segment
 from planner.files import write_whole
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue, TandemError
-from planner.processes.hotwire.claims import KerfCurve
 from planner.targets import Targets
 from planner.tooling import Cutter
 
@@ -179,8 +180,20 @@ def _held(kinds: Iterable[Any], known: dict[str, type]) -> dict[str, type]:
     return known
 
 
-_VALUES: Final = _held((Plan, Cutter, KerfCurve), {})
-"""Classes of values that plans hold; the last ones stand in exhibits, whose fields have no types."""
+def _values() -> dict[str, type]:
+    """Return the classes of values that plans hold, by name.
+
+    Claims are those of all processes that have been imported. Cutters are in exhibits, whose fields have no
+    types.
+    """
+    return _values_with(tuple(claim.kinds()))
+
+
+@functools.cache
+def _values_with(kinds: tuple[type[claim.Claim], ...]) -> dict[str, type]:
+    return _held((Plan, Cutter, *kinds), {})
+
+
 _SEGMENTS: Final = {"segment", "segments"}
 """Fields of those classes that hold segments."""
 _DAMAGED_FILE_ERRORS: Final = (
@@ -267,7 +280,7 @@ def _encode(value: Any, key: str, arrays: Arrays) -> Any:
         return value if math.isfinite(value) else {"$float": repr(value)}
     if isinstance(value, Issue):
         return {"$type": "Issue", **{k: _encode(v, f"{key}/{k}", arrays) for k, v in value.to_dict().items()}}
-    if type(value) in _VALUES.values():
+    if dataclasses.is_dataclass(value) and type(value) in _values().values():
         fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
         return {"$type": type(value).__name__, **_encode_items(fields, key, arrays)}
     if isinstance(value, Mapping):
@@ -315,7 +328,7 @@ def _decode(value: Any, arrays: Arrays) -> Any:
         own = fields[name]
         if own is not None:
             fields[name] = tuple(map(Segment.read, own)) if isinstance(own, tuple) else Segment.read(own)
-    return _VALUES[value["$type"]](**fields)
+    return _values()[value["$type"]](**fields)
 
 
 def _pack(arrays: Arrays) -> bytes:

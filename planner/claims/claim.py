@@ -1,60 +1,45 @@
-"""What must hold of a job, as data: a process states claims, ``verify/`` has a rule for each kind.
+"""Claims: what must hold of a job, as data.
 
-Claims follow from the problem alone, never from a plan, so that a proof can start from the problem
-and the program text. All geometry is in the stock frame, in metres. Here: hot wires, held blocks,
-stated poses, and the sum type `Claim` of all kinds; sheets are in ``claims.forming``, milling in
-``claims.milling``, curves cut out of sheets in ``claims.trim``, what operators are told in
-``claims.vocabulary``.
+A process states claims, and the proof has a rule for each kind. Claims follow from the problem alone, never
+from a plan, so that a proof can start from the problem and the program text. All geometry is in the stock
+frame, in metres. This file has the base class and the kinds that several processes use. The kinds of one
+process are in ``processes/<name>/claims.py``.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Final, Literal
+from collections.abc import Iterator, Sequence
+from typing import ClassVar, Final, Literal
 
-from planner.claims.dialogue import OperatorDialogue
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
-from planner.processes.forming.claims import (
-    ComesBack,
-    FollowsOpposite,
-    FormingFeed,
-    FormsByTable,
-    FormsInOrder,
-    FormsLevel,
-    FormsPart,
-    FormsSheet,
-    SheetState,
-    SinksHolder,
-    SupportsBorder,
-    ToolGap,
-    ToolsLean,
-)
-from planner.processes.hotwire.claims import (
-    CutsSurface,
-    FollowsRulings,
-    KerfWithin,
-    LeadsFrom,
-    SlitsAllowed,
-    StraightWire,
-    WireJoins,
-)
-from planner.processes.milling.claims import (
-    Engraves,
-    MillsAlong,
-    MillsFlank,
-    MillsOver,
-    MillsProgram,
-    MillsSurface,
-    SparesPart,
-)
-from planner.processes.poses.claims import FollowsPoses, FollowsTable
-from planner.processes.trim.claims import TrimsSheet
 
 
 @dataclasses.dataclass(frozen=True)
-class HoldsStock:
+class Claim:
+    """Base class of all claims. A kind of claim is a frozen dataclass that inherits from it.
+
+    Attributes:
+        on_curves: Whether the rules of this kind hold on curves of spline blocks as well. If not, writers use
+            straight moves only. The proof has a list of its own.
+    """
+
+    on_curves: ClassVar[bool] = False
+
+
+def kinds(base: type[Claim] = Claim) -> Iterator[type[Claim]]:
+    """Yield all kinds of claims whose modules have been imported, in the order of their definition.
+
+    The registry of processes imports the claims of all processes.
+    """
+    for kind in base.__subclasses__():
+        yield kind
+        yield from kinds(kind)
+
+
+@dataclasses.dataclass(frozen=True)
+class HoldsStock(Claim):
     """The tool of ``arm`` holds the stock, ``grip`` (4, 4) being the stock frame in its TCP frame, and the
     controller knows the load: ``mass`` [kg], ``cog`` (3,) [m] in the TCP frame."""
 
@@ -65,8 +50,10 @@ class HoldsStock:
 
 
 @dataclasses.dataclass(frozen=True)
-class ContactOnlyIn:
+class ContactOnlyIn(Claim):
     """The edge (wire) touches the stock only in segments of the kinds ``kinds``, while ``signal`` is on."""
+
+    on_curves: ClassVar[bool] = True
 
     kinds: tuple[str, ...]
     signal: str
@@ -74,7 +61,7 @@ class ContactOnlyIn:
 
 
 @dataclasses.dataclass(frozen=True)
-class OneOf:
+class OneOf(Claim):
     """The problem leaves open what is mounted: of the groups of claims in ``either`` one whole group must
     hold, the one whose `OperatorDialogue` begins with what the operator is told to mount."""
 
@@ -82,10 +69,12 @@ class OneOf:
 
 
 @dataclasses.dataclass(frozen=True)
-class FeedWindow:
+class FeedWindow(Claim):
     """While the edge is inside the stock its fastest point there moves between ``lower`` and ``upper``
     [m/s].
     """
+
+    on_curves: ClassVar[bool] = True
 
     segment: Segment
     lower: float
@@ -99,7 +88,7 @@ FEED_WAY: Final = 5e-3
 
 
 @dataclasses.dataclass(frozen=True)
-class ArmSags:
+class ArmSags(Claim):
     """What is claimed of the places of ``arm`` holds of the arm as its loads bend it, by ``joints`` (6,) [N
     m/rad] about the axes as its controller counts them; nowhere do these move its TCP by more than ``most``
     [m].
@@ -128,52 +117,6 @@ class ArmSags:
     most: float
 
 
-Claim = (
-    WireJoins
-    | StraightWire
-    | CutsSurface
-    | FollowsRulings
-    | KerfWithin
-    | SlitsAllowed
-    | LeadsFrom
-    | HoldsStock
-    | ContactOnlyIn
-    | OneOf
-    | OperatorDialogue
-    | FeedWindow
-    | FollowsPoses
-    | FollowsTable
-    | ArmSags
-    | FormsSheet
-    | ComesBack
-    | FormsLevel
-    | FormsByTable
-    | FormsPart
-    | ToolGap
-    | SupportsBorder
-    | FollowsOpposite
-    | SheetState
-    | FormingFeed
-    | ToolsLean
-    | SinksHolder
-    | FormsInOrder
-    | MillsSurface
-    | MillsAlong
-    | MillsProgram
-    | MillsFlank
-    | MillsOver
-    | Engraves
-    | SparesPart
-    | TrimsSheet
-)
-
-_ON_CURVES = (
-    *(ContactOnlyIn, OperatorDialogue, FeedWindow, FollowsPoses, FollowsTable),
-    *(Engraves, MillsAlong, MillsFlank, MillsOver, MillsProgram, MillsSurface, SparesPart),
-)
-"""Kinds whose rules hold on the curves of spline blocks as well, by the room that is left for these."""
-
-
 def on_straight_moves_alone(claims: Sequence[Claim]) -> tuple[str, ...]:
-    """Kinds of claims, by name, that are proven on straight moves alone."""
-    return tuple(dict.fromkeys(type(one).__name__ for one in claims if not isinstance(one, _ON_CURVES)))
+    """Return the names of the kinds among ``claims`` that are proven on straight moves only."""
+    return tuple(dict.fromkeys(type(one).__name__ for one in claims if not one.on_curves))

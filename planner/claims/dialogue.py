@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Literal
+from typing import ClassVar, Literal
 
+from planner.claims.claim import Claim
 from planner.claims.segments import Segment
 from planner.claims.sentences import Sentence
 from planner.geometry.arrays import FloatArray
@@ -63,11 +64,13 @@ class DialogueStop:
 
 
 @dataclasses.dataclass(frozen=True)
-class OperatorDialogue:
+class OperatorDialogue(Claim):
     """All that the programs say, ask, switch and wait for in an operation of ``arms``, in this order and
     nothing else: ``first`` when all arms stand at their first targets, ``stops`` on the way, ``last`` when
     they stand at their last ones. The first of the arms, in the cell's order, speaks, and meanwhile all arms
     stand still. ``joined``: the arms are joined then, which the operator is asked about before the start."""
+
+    on_curves: ClassVar[bool] = True
 
     arms: tuple[str, ...]
     first: tuple[DialogueStep, ...] = ()

@@ -7,17 +7,26 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
+from planner.claims.claim import Claim
 from planner.problem import Part, Setup
 from planner.targets import Job
 
 
 class Process(NamedTuple):
-    """Schema of the operation (:class:`planner.problem.Operation`: name, process, arms, and ``leaves``, the
-    block as the next operation finds it), and the module and class of the process's jobs."""
+    """A manufacturing process.
+
+    Attributes:
+        schema: Schema of the operation (:class:`planner.problem.Operation`: name, process, arms, and
+            ``leaves``, the block as the next operation finds it).
+        module: Module of the process's jobs. It is imported on first use.
+        name: Class of the process's jobs in that module.
+        claims: Kinds of claims that only this process makes. Plans that hold other kinds cannot be loaded.
+    """
 
     schema: type[BaseModel]
     module: str
     name: str
+    claims: tuple[type[Claim], ...] = ()
 
     def job(
         self, operation: Any, setup: Setup, part: Part | None, advise: bool = True, brief: bool = False

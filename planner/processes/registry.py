@@ -18,21 +18,30 @@ from planner.cell import sag
 from planner.claims.claim import Claim
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
+from planner.processes.forming import claims as forming_claims
 from planner.processes.forming.plan.operation import Forming
+from planner.processes.hotwire import claims as hotwire_claims
 from planner.processes.hotwire.plan.operation import ElasticWire, Straight
+from planner.processes.milling import claims as milling_claims
 from planner.processes.milling.plan.operation import Milling
+from planner.processes.poses import claims as poses_claims
 from planner.processes.poses.plan.job import Posed
 from planner.processes.process import Process
+from planner.processes.trim import claims as trim_claims
 from planner.processes.trim.plan.operation import Trim
 from planner.targets import Job
 
 PROCESSES: Final[Mapping[str, Process]] = {
-    "forming": Process(Forming, "planner.processes.forming.plan.job", "FormingJob"),
-    "elastic_wire": Process(ElasticWire, "planner.processes.hotwire.plan.elastic.job", "ElasticJob"),
-    "straight_wire": Process(Straight, "planner.processes.hotwire.plan.straight.job", "StraightJob"),
-    "milling": Process(Milling, "planner.processes.milling.plan.job", "MillingJob"),
-    "trim": Process(Trim, "planner.processes.trim.plan.job", "TrimJob"),
-    "targets": Process(Posed, "planner.processes.poses.plan.job", "PosedJob"),
+    "forming": Process(Forming, "planner.processes.forming.plan.job", "FormingJob", forming_claims.CLAIMS),
+    "elastic_wire": Process(
+        ElasticWire, "planner.processes.hotwire.plan.elastic.job", "ElasticJob", hotwire_claims.CLAIMS
+    ),
+    "straight_wire": Process(
+        Straight, "planner.processes.hotwire.plan.straight.job", "StraightJob", hotwire_claims.CLAIMS
+    ),
+    "milling": Process(Milling, "planner.processes.milling.plan.job", "MillingJob", milling_claims.CLAIMS),
+    "trim": Process(Trim, "planner.processes.trim.plan.job", "TrimJob", trim_claims.CLAIMS),
+    "targets": Process(Posed, "planner.processes.poses.plan.job", "PosedJob", poses_claims.CLAIMS),
 }
 GROUP: Final = "tandem.processes"
 """Entry points by which installed packages add processes."""

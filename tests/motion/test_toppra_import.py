@@ -41,7 +41,8 @@ def test_check_loads_no_pictures() -> None:
 
 PLANNING = (
     "pydrake",
-    "planner.cell",
+    "planner.cell.plant",
+    "planner.cell.clearance",
     "planner.motion",
     "planner.languages.writing",
     "planner.proof",

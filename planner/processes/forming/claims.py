@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Final
 
 import numpy as np
 
+from planner.claims.claim import Claim
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 
 
 @dataclasses.dataclass(frozen=True)
-class FormsSheet:
+class FormsSheet(Claim):
     """In ``segment`` the ball of ``arm``, of radius ``radius`` [m] about its TCP, forms the face
     ``vertices``, ``faces`` (normals up, +z) of a sheet.
 
@@ -35,7 +37,7 @@ class FormsSheet:
 
 
 @dataclasses.dataclass(frozen=True)
-class ToolGap:
+class ToolGap(Claim):
     """In ``segment`` the tools of ``arms`` (the forming one first), balls of ``radii`` [m] about their TCPs,
     stay as far apart as the sheet between them is wanted.
 
@@ -59,7 +61,7 @@ class ToolGap:
 
 
 @dataclasses.dataclass(frozen=True)
-class SupportsBorder:
+class SupportsBorder(Claim):
     """In ``segment`` the tool of ``arm`` supports the border of what is formed from the other side: its TCP
     stays within ``tolerance`` [m] of the closed curve ``border`` (K, 3) [m] and never inside of it.
     """
@@ -71,7 +73,7 @@ class SupportsBorder:
 
 
 @dataclasses.dataclass(frozen=True)
-class FollowsOpposite:
+class FollowsOpposite(Claim):
     """In ``segment`` the TCP of ``arms[1]`` (a heat gun, a laser) is ``distance`` [m] within ``tolerance``
     away from the ball's centre of ``arms[0]``, across the sheet: towards -``side`` along the normal of the
     face ``vertices``, ``faces`` within ``turn`` [rad]. Its z axis points at the sheet between that normal and
@@ -89,7 +91,7 @@ class FollowsOpposite:
 
 
 @dataclasses.dataclass(frozen=True)
-class SheetState:
+class SheetState(Claim):
     """The sheet while ``segment`` is formed, against which both tools of ``arms`` are held, but for the face
     that is being formed.
 
@@ -112,7 +114,7 @@ class SheetState:
 
 
 @dataclasses.dataclass(frozen=True)
-class FormingFeed:
+class FormingFeed(Claim):
     """In ``segment`` the TCPs of ``arms`` move no faster than ``upper`` [m/s]."""
 
     segment: Segment
@@ -121,7 +123,7 @@ class FormingFeed:
 
 
 @dataclasses.dataclass(frozen=True)
-class ToolsLean:
+class ToolsLean(Claim):
     """In ``segment`` the tools of ``arms`` point down onto the sheet where they are ``above`` it, else up,
     within ``upper`` [rad] of the sheet's normal."""
 
@@ -132,7 +134,7 @@ class ToolsLean:
 
 
 @dataclasses.dataclass(frozen=True)
-class SinksHolder:
+class SinksHolder(Claim):
     """While ``segment`` is formed, the clamp sinks by ``step`` [m] at each pulse of ``signal``, from the
     level z ``start`` of the flat sheet to that of ``end``, or as near above it as whole steps come.
 
@@ -153,7 +155,7 @@ class SinksHolder:
 
 
 @dataclasses.dataclass(frozen=True)
-class ComesBack:
+class ComesBack(Claim):
     """In ``segments`` of ``operation`` both tools are deeper, alike along z, by what the sheet comes back by
     when they let go, as a file says that the operation names: other claims on these segments are of the tools
     without that."""
@@ -163,7 +165,7 @@ class ComesBack:
 
 
 @dataclasses.dataclass(frozen=True)
-class FormsLevel:
+class FormsLevel(Claim):
     """Of all that ``operation`` is claimed to form one level alone is formed now, within ``segment``: which
     one, and by how much tools are deeper there, is what the problem says. All other segments are not."""
 
@@ -172,14 +174,14 @@ class FormsLevel:
 
 
 @dataclasses.dataclass(frozen=True)
-class FormsInOrder:
+class FormsInOrder(Claim):
     """The segments that form the sheet come in this order, each once, and all of them."""
 
     segments: tuple[Segment, ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class FormsByTable:
+class FormsByTable(Claim):
     """In ``segment`` the balls of ``arms`` (the forming one first), of ``radii`` [m] about their TCPs, form
     the face ``vertices``, ``faces`` (normals up) of a sheet of ``thickness`` [m] at the level at which the
     sheet is clamped, from the inside out, as a response table says of the wall at each place.
@@ -216,7 +218,7 @@ class FormsByTable:
 
 
 @dataclasses.dataclass(frozen=True)
-class FormsPart:
+class FormsPart(Claim):
     """What an operation is to form, as the problem states it: all that other claims say of its passes has to
     follow from this.
 
@@ -261,3 +263,21 @@ class FormsPart:
     unreached: float | None = None
     features: tuple[int, ...] | None = None
     hole_margin: float = 0.005
+
+
+CLAIMS: Final[tuple[type[Claim], ...]] = (
+    FormsSheet,
+    ToolGap,
+    SupportsBorder,
+    FollowsOpposite,
+    SheetState,
+    FormingFeed,
+    ToolsLean,
+    SinksHolder,
+    ComesBack,
+    FormsLevel,
+    FormsInOrder,
+    FormsByTable,
+    FormsPart,
+)
+"""Kinds of claims of sheet forming."""

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Final
 
 import numpy as np
 
+from planner.claims.claim import Claim
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclasses.dataclass(frozen=True)
-class WireJoins:
+class WireJoins(Claim):
     """A wire of constant hot length joins the TCPs of ``arms`` from the mount to the unmount stop.
 
     ``length`` [m] hot, ``ei_soft``, ``ei_stiff`` [N m^2], ``gj`` [N m^2], ``weight`` [N/m],
@@ -32,7 +34,7 @@ class WireJoins:
 
 
 @dataclasses.dataclass(frozen=True)
-class StraightWire:
+class StraightWire(Claim):
     """The tool of ``arm`` holds a straight wire from ``start`` to ``end`` (3,) [m, TCP frame] of radius
     ``radius`` [m]; nothing else of the tool may come near the stock.
 
@@ -71,7 +73,7 @@ class KerfCurve:
 
 
 @dataclasses.dataclass(frozen=True)
-class CutsSurface:
+class CutsSurface(Claim):
     """In ``segment`` the wire, with its kerf, cuts the surface ``vertices``, ``faces`` (stock frame, outward
     normals away from the part).
 
@@ -89,7 +91,7 @@ class CutsSurface:
 
 
 @dataclasses.dataclass(frozen=True)
-class FollowsRulings:
+class FollowsRulings(Claim):
     """In ``segment`` a straight wire runs along the rulings from ``start`` to ``end`` (M, 3) [m, stock
     frame].
 
@@ -107,7 +109,7 @@ class FollowsRulings:
 
 
 @dataclasses.dataclass(frozen=True)
-class KerfWithin:
+class KerfWithin(Claim):
     """In ``segment`` the slot is between ``lower`` and ``upper`` [m] wide all along the wire inside the
     part's surface: narrower, a cold wire drags; wider, it burns the foam."""
 
@@ -133,7 +135,7 @@ class Contour:
 
 
 @dataclasses.dataclass(frozen=True)
-class SlitsAllowed:
+class SlitsAllowed(Claim):
     """To a contour that the part lies around, one that is a hole or that lies in one, a straight wire may
     come through the part, and leaves it the same way.
 
@@ -147,7 +149,7 @@ class SlitsAllowed:
 
 
 @dataclasses.dataclass(frozen=True)
-class LeadsFrom:
+class LeadsFrom(Claim):
     """To the cut of ``segment`` a straight wire comes straight from where ``way`` (3,) [stock frame] points,
     seen from where the cut begins, as far as that is across the wire; the slot may be off by ``tolerance``
     [m]."""
@@ -155,3 +157,15 @@ class LeadsFrom:
     segment: Segment
     way: FloatArray
     tolerance: float
+
+
+CLAIMS: Final[tuple[type[Claim], ...]] = (
+    WireJoins,
+    StraightWire,
+    CutsSurface,
+    FollowsRulings,
+    KerfWithin,
+    SlitsAllowed,
+    LeadsFrom,
+)
+"""Kinds of claims of hot-wire cuts."""

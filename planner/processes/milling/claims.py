@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import ClassVar, Final
 
+from planner.claims.claim import Claim
 from planner.claims.drawn_curve import DrawnCurve, Numbers
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray
@@ -12,13 +14,15 @@ from planner.tooling import Cutter
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsSurface:
+class MillsSurface(Claim):
     """In ``segments`` together the ``cutter`` on ``arm``, whose TCP is its tip with z out of the spindle,
     makes the surface ``vertices``, ``faces`` (normals away from the part).
 
     The swept cutter leaves, or takes too much, ``tolerance`` [m] at most on the share ``share`` of the
     surface, and nowhere takes more. What is less than ``margin`` [m] inside its edge in plan is not wanted.
     """
+
+    on_curves: ClassVar[bool] = True
 
     segments: tuple[Segment, ...]
     arm: str
@@ -31,7 +35,7 @@ class MillsSurface:
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsAlong:
+class MillsAlong(Claim):
     """In ``segment`` the TCP of ``arm``, the tip of its cutter, goes straight from each of ``tip`` (K, 3) [m]
     to the next within ``tolerance`` [m], with its z axis against ``axis`` (K, 3), from tip to spindle, within
     ``turn`` [rad]; it passes all of them. On its way to each it is no faster than ``feed`` (K,) [m/s]; the
@@ -40,6 +44,8 @@ class MillsAlong:
     Where the way is that of a file, ``file`` is its name and ``line`` (K,) says where each place stands.
     ``back``: the same the other way, where nobody says which of the two it is.
     """
+
+    on_curves: ClassVar[bool] = True
 
     segment: Segment
     arm: str
@@ -55,11 +61,13 @@ class MillsAlong:
 
 
 @dataclasses.dataclass(frozen=True)
-class SparesPart:
+class SparesPart(Claim):
     """In ``segments``, with their ways in and out, no part of the tool of ``arm``, of ``cutter``, holder and
     spindle, goes into the surface ``vertices``, ``faces`` by more than ``tolerance`` [m]; the cutter itself,
     where it engraves, ``depth`` [m] deeper. A segment that is the name of a :class:`MillsProgram` stands for
     all passes of that."""
+
+    on_curves: ClassVar[bool] = True
 
     segments: tuple[Segment, ...]
     arm: str
@@ -116,13 +124,15 @@ class ProgramFile:
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsProgram:
+class MillsProgram(Claim):
     """In the milling segments ``name``_1, ``name``_2 ... the TCP of ``arm``, the tip of its cutter, makes the
     cuts of the G-code ``file`` between its rapid moves, one after the other: all of them, in order, within
     ``tolerance`` [m] and ``turn`` [rad], at the file's own feeds. ``first``: nothing is milled before it.
 
     Between the cuts it goes the ways that ``safe`` says. The proof reads the file itself.
     """
+
+    on_curves: ClassVar[bool] = True
 
     name: str
     arm: str
@@ -134,7 +144,7 @@ class MillsProgram:
 
 
 @dataclasses.dataclass(frozen=True)
-class Engraves:
+class Engraves(Claim):
     """In the milling segments ``name``_c1, ``name``_c2 ... the ``cutter`` on ``arm`` engraves one curve each,
     all of it and in its direction, one of a file that is closed until it is where it began: projected along z
     onto the face ``vertices``, ``faces``, which looks up, and ``depth`` [m] below it along its normal, within
@@ -143,6 +153,8 @@ class Engraves:
     ``axis``: ``normal``, leant forward by ``lead`` and to the left by ``tilt`` [rad]; ``upright``; or
     ``curves``, through the curves ``axis_curves``, one for each.
     """
+
+    on_curves: ClassVar[bool] = True
 
     name: str
     arm: str
@@ -162,7 +174,7 @@ class Engraves:
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsFlank:
+class MillsFlank(Claim):
     """In each of ``segments`` the side of the cutter on ``arm``, or its axis, passes all of a ruled surface
     in its own ``direction`` (``along``, ``against``, ``climb``, ``conventional``), once; nothing else of the
     block is milled.
@@ -177,6 +189,8 @@ class MillsFlank:
     the cutter is off the block (None), and from there as ``safe`` says. In the block the tip is no faster
     than ``feed`` [m/s]. ``tolerance`` [m] and ``turn`` [rad] hold for all of it.
     """
+
+    on_curves: ClassVar[bool] = True
 
     segments: tuple[Segment, ...]
     arm: str
@@ -198,7 +212,7 @@ class MillsFlank:
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsOver:
+class MillsOver(Claim):
     """In ``segments`` the end of the ``cutter`` on ``arm`` touches the face ``vertices``, ``faces``, which
     looks up, within ``tolerance`` [m] at every instant, ``margin`` [m] inside its edge; from there and past
     it the cutter goes no farther than its radius. Nothing else of the block is milled.
@@ -207,6 +221,8 @@ class MillsOver:
     where it turns over from line to line its edge may swing up by so much. It comes and goes as
     ``safe`` says.
     """
+
+    on_curves: ClassVar[bool] = True
 
     segments: tuple[Segment, ...]
     arm: str
@@ -219,3 +235,15 @@ class MillsOver:
     safe: SafeWays
     tolerance: float
     turn: float
+
+
+CLAIMS: Final[tuple[type[Claim], ...]] = (
+    MillsSurface,
+    MillsAlong,
+    SparesPart,
+    MillsProgram,
+    Engraves,
+    MillsFlank,
+    MillsOver,
+)
+"""Kinds of claims of milling."""

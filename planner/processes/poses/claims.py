@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar, Final
 
+from planner.claims.claim import Claim
 from planner.geometry.arrays import FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
-class FollowsPoses:
+class FollowsPoses(Claim):
     """The TCP of ``arm`` passes the poses (M, 4, 4) in its work frame ``frame`` in order, up to the free axes
     ``free``.
 
     ``free`` are twists (6,) in the tool frame along which the pose may differ.
     """
+
+    on_curves: ClassVar[bool] = True
 
     arm: str
     frame: str
@@ -36,7 +40,7 @@ class FreeAxis:
 
 
 @dataclasses.dataclass(frozen=True)
-class FollowsTable:
+class FollowsTable(Claim):
     """The TCPs of ``arms`` pass the poses of the table that ``operation`` names, in order and in ``frame``,
     but for what is ``free``, the later axes after the earlier ones.
 
@@ -47,6 +51,8 @@ class FollowsTable:
     alone.
     """
 
+    on_curves: ClassVar[bool] = True
+
     operation: str
     arms: tuple[str, ...]
     frame: str
@@ -56,3 +62,10 @@ class FollowsTable:
     feed: float | None
     feed_min: float = 0.0
     run_up: float = 0.0
+
+
+CLAIMS: Final[tuple[type[Claim], ...]] = (
+    FollowsPoses,
+    FollowsTable,
+)
+"""Kinds of claims of supplied poses."""

@@ -7,6 +7,7 @@ import dataclasses
 from pathlib import Path
 from typing import Final
 
+from planner.claims.claim import Claim
 from planner.claims.drawn_curve import DrawnCurve
 from planner.tooling import Blade, Cutter, Torch
 
@@ -85,7 +86,7 @@ class TrimBlade:
 
 
 @dataclasses.dataclass(frozen=True)
-class TrimsSheet:
+class TrimsSheet(Claim):
     """In trimming segments ``torch``, the mill ``mill`` or the knife ``knife`` on ``arm`` cuts all of
     ``outlines``, laid along z
     on one face of the formed sheet, each closed but for its joints, inner ones before outer ones.
@@ -148,3 +149,7 @@ def slot_names(claim: TrimsSheet, one: TrimOutline) -> tuple[str, ...]:
     count = MOST_STRETCHES if claim.knife is not None else one.joints
     numbers = tuple(f"{one.name}_p{k + 1}" for k in range(count))
     return (one.name, *numbers) if claim.knife is not None else numbers or (one.name,)
+
+
+CLAIMS: Final[tuple[type[Claim], ...]] = (TrimsSheet,)
+"""Kinds of claims of trimming."""
