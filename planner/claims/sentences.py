@@ -1,18 +1,11 @@
-"""The words of programs: sentences to operators, signals between controllers, names of segments.
+"""Sentences that programs of any process and language show operators.
 
-Sentences: processes and posts write them word for word, and the proof refuses any other. A sentence
-is plain ASCII and has fields for its figures. Which ones stand where in a program, with which
-figures, is claimed of each operation (`OperatorDialogue`), and follows from the problem for starts,
-setups and error handlers (``proof/dialogue.py``). A program that has more to say
-gets its sentence here, and its place there.
+Writers use these sentences word for word, and the proof refuses any other. A sentence is plain ASCII and
+has fields for its figures. `OperatorDialogue` claims which sentences an operation shows, with which
+figures. For starts, setups and error handlers they follow from the problem (``proof/dialogue.py``).
+Sentences of one process or language are in its ``sentences.py``.
 
-Files beside the programs: the wording which writer and proof both read. Lines of a box have 55
-characters at most, lines of the panel 40.
-
-Signals: how two controllers that share no more than them meet, and how each one knows that the
-other one runs (:class:`Handshake`).
-
-Segments: what a move belongs to, and the label by which people, plans and programs know it.
+Lines of a message box have at most 55 characters, lines of the panel at most 40.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
-"""The job as its programs tell it: stages between synchronisation points, and the setups in force.
+"""The job as its programs state it: the tasks of all arms and their stages.
 
-The programs of all tasks are laid side by side. A stage is what happens between two synchronisation
-points. In a synchronised one the moves of all tasks run in pairs; in any other one at most one task
-may move, so that no order of events depends on chance. Two controllers that meet by signals are
-laid side by side in the same way: what happens between their meetings.
-
-A setup with steps begins at the stage where the operator confirms it (`spans`).
+The programs of all tasks are read side by side. A stage is what happens between two synchronisation
+points. In a synchronised stage the moves of all tasks run in pairs. In any other stage at most one task
+may move, so that no order of events depends on chance. Two controllers that meet by signals are treated
+in the same way: a stage is what happens between their meetings.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
-"""Files of programs and controllers as text: characters, ends of lines, names of segments, words.
+"""Program and controller files as text: characters, line ends, names of segments, and file names by
+content.
 
-- Bytes to characters, and the characters that a controller may take for something else than the
-  readers here do.
-- Which segment a program says that it runs, from the names of procedures and from KRL's marks.
-- Files for a controller: configuration of ABB as rows by type, modules of RAPID and lines of KRL as
-  words; and what two controllers need beside their programs to know of each other: an output that
-  says that this one runs, an input of the other one's, whose fall stops this arm and takes its
-  power.
-- Files that a result folder carries: each has the beginning of its contents' SHA-256 as its name.
+Readers accept only characters that a controller reads in the same way. The names of procedures and the
+marks of KRL state the segment that a program runs. The files that a result folder carries are named by
+the first digits of the SHA-256 of their content.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""What the rules look at: the problem, the claims, the programs as read, and what follows from them.
+"""Context of the rules: the problem, the claims, the programs as read, and what follows from them.
 
-What follows is worked out when it is asked for. Here are also the issues of the proof with
-everything that says where they are (arm, file, line, target, time), and what to do where a plan
-breaks a rule and the rule itself knows nothing better.
+Derived values are computed on first use and kept.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""What programs say, ask, switch and wait for on their straight ways, and what they should say there.
+"""What programs show, ask, switch and wait for, and what they should.
 
-What they should say follows from the problem for starts and setups, from the claims for operations,
-from what may stop them for error handlers. A text that is shown is held against the sentence and
-the figures that it should have. Where the problem leaves open what is to be mounted, the programs
-have chosen: what they tell the operator has to be one of the things at hand, and everything is then
-proven of that one.
+The expected dialogue follows from the problem for starts and setups, from the claims for operations, and
+from possible interruptions for error handlers. A text that is shown is compared with the expected
+sentence and its figures. If the problem leaves open what is mounted, the programs choose: the operator
+must be shown one of the allowed items, and everything else is proven for that item.
 """
 
 from __future__ import annotations

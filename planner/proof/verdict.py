@@ -1,6 +1,7 @@
-"""What a proof gives back: its verdict rule by rule, arrays over the motion, margins as text.
+"""Result of a proof: the verdict rule by rule, arrays over the motion, and margins as text.
 
-The margins stand in a program's header; `same_program` checks that a header changed nothing else.
+The margins are written into the headers of programs. `same_program` checks that a header changes nothing
+else.
 """
 
 from __future__ import annotations

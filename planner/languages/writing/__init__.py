@@ -1,1 +1,1 @@
-"""From a plan to programs."""
+"""What the writers of all languages share: steps, layout, handshake, and the entry point `write`."""

@@ -1,8 +1,8 @@
 """Rules on what controllers need besides the motion: their files, and the check of the cell.
 
-verify.controller_files: what power hangs on besides the program, who gives it back, and how two
-controllers know of each other. verify.cell_check: the module that compares the cell with the plan
-at run time, and what readers see of it.
+verify.controller_files: files that switch power off and on again, and signals by which two controllers
+watch each other. verify.cell_check: the part of a program that compares the cell with the plan before it
+moves.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Rules on what programs tell and ask their operators: verify.dialogue, verify.dialogue_figures.
+"""The rule on what programs show and ask their operators: verify.dialogue.
 
-Word for word what follows from the problem, at the place where it belongs, and nothing else.
+The text must equal, word for word, what follows from the problem, at the right place and with nothing
+added.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Rules on moves and settings, on error handlers, and on what runs beside the straight way.
+"""Rules on moves: verify.unknown_start, move_kinds, zone_size and zero_length.
 
-verify.move_kinds, zone_size, zero_length, error_handler, motion_settings, hidden. verify.undo: what
-UNDO does when the program pointer is moved out of a program. verify.unknown_start: moves by joints,
-of which the text states speeds alone; the first begins nobody knows where.
+verify.unknown_start looks at moves by joints: the text states their speeds only, and the position before
+the first one is unknown.
 """
 
 from __future__ import annotations

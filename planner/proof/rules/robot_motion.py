@@ -1,8 +1,8 @@
-"""Rules on where robots are, and on the replayed motion of their joints and tools.
+"""Rules on the positions of robots, and on the replayed motion of their joints and tools.
 
-verify.robot_model, kinematics: their files against the catalogue, and every link against Drake.
-verify.reach, corner, continuity, confdata, joint_limits, rod_limits, joint_speed,
-joint_acceleration, singularity, tcp_speed.
+verify.robot_model and kinematics compare the robots' files with the catalogue, and every link with Drake.
+The others are verify.reach, corner, continuity, joint_limits, rod_limits, joint_speed,
+joint_acceleration, singularity and tcp_speed.
 """
 
 from __future__ import annotations

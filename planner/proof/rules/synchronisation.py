@@ -1,8 +1,7 @@
-"""Rules on how the tasks run together: task lists, synchronisation points, pairs of moves.
+"""Rules on how the tasks run together: task lists, synchronisation points and pairs of moves.
 
 verify.task_list, sync_order, move_count, move_ids, zone_kind, move_time, speed_data, arms_alone,
-wire_alone, stop_before_logic; verify.status, and what rules ask of KRL where they ask something else
-of RAPID.
+and stop_before_logic.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""KRL read strictly: from text to the straight way of a task."""
+"""Reads KRL programs strictly: from text to the steps of a task."""

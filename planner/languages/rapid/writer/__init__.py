@@ -1,1 +1,1 @@
-"""RAPID for ABB controllers."""
+"""Writes RAPID programs and the configuration of ABB controllers."""

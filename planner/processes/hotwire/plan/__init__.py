@@ -1,1 +1,1 @@
-"""The hot wire: bent and straight cuts, the wire's shapes, the kerf."""
+"""Planning of hot-wire cuts: bent and straight wires, the shapes of a wire, and the kerf."""

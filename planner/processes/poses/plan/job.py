@@ -1,4 +1,4 @@
-"""The general door, ``process: targets``: synchronised poses for one or two arms from a CSV or JSON file."""
+"""The process ``targets``: synchronised poses for one or two arms from a CSV or JSON file."""
 
 from __future__ import annotations
 
