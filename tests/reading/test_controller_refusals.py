@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from planner import pipeline
-from planner.claims import sentences
 from planner.issues import TandemError
+from planner.languages.rapid import sentences
 from planner.languages.rapid.writer.syntax import (
     BOX_LINE,
     STRING_LENGTH,
