@@ -28,7 +28,7 @@ from planner.proof.verdict import Proof
 from tests import line_ends
 from tests.proof.provers import broken
 
-HERE = Path(pipeline.__file__).resolve().parents[3] / "problems" / "dome_tpif"
+HERE = Path(pipeline.__file__).resolve().parents[1] / "problems" / "dome_tpif"
 MAIN = "T_ROB1/TandemMain_1.mod"
 PULSE = ["    SetDO doBlankHolder,1;", "    WaitTime 0.1;", "    SetDO doBlankHolder,0;", "    WaitTime 0.1;"]
 RISE, SHEET = 25e-3, 0.8e-3

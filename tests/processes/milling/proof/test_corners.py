@@ -116,8 +116,8 @@ def test_what_is_found_hangs_not_on_how_many_places_are_worked_on_at_once(
     fine: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = fine.prover.prove(fine.programs, last="verify.spindle").rules
-    for module in (tool_motion, following):
-        monkeypatch.setattr(module, "_PLACES_AT_ONCE", 7)
+    monkeypatch.setattr(tool_motion, "MAX_PLACES_AT_ONCE", 7)
+    monkeypatch.setattr(following, "_PLACES_AT_ONCE", 7)
     assert fine.prover.prove(fine.programs, last="verify.spindle").rules == whole
 
 
