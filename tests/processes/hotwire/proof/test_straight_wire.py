@@ -17,7 +17,7 @@ from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfCu
 from planner.processes.hotwire.proof.cut_surface import Sweep, cut_face, part_obj
 from planner.processes.hotwire.proof.rules.straight_wire import free_lengths, guide_normals, off_guide
 from planner.processes.hotwire.proof.wire_motion import depth_in
-from planner.programs.job import letters
+from planner.programs.steps import letters
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context
 from planner.proof.prove import Prover

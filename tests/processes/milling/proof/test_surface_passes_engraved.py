@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from planner.claims.drawn_curve import DrawnCurve
 from planner.geometry.arrays import FloatArray
 from planner.languages.writing import write
 from planner.motion import solve
@@ -105,7 +106,7 @@ def test_places_and_normals_on_a_ball_are_those_of_the_closed_form() -> None:
 def test_a_ball_on_a_ball_is_at_the_radius_less_the_depth() -> None:
     """A ball nose along the normal is everywhere 1 mm below: its tip is on a ball of radius 199 mm."""
     vertices, faces = dome(0.2)
-    drawn = (wanted_ways.DrawnCurve("bspline", ((-60, 0, 0), (0, 50, 0), (60, 0, 0))),)
+    drawn = (DrawnCurve("bspline", ((-60, 0, 0), (0, 50, 0), (60, 0, 0))),)
     cutter = Cutter("ball", 0.003, 0.003, 0.012, 0.06, 0.003, np.zeros((0, 2)))
     safe: Any = None
     bounds = (0.02, safe, 1e-4, 0.01)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims.claim import SparesPart
 from planner.claims.segments import Segment
+from planner.processes.milling.claims import SparesPart
 from planner.processes.milling.proof.rules.cutter import _GOUGE_SPACING, _held, _insides, _step, mill_gouge
 from planner.processes.milling.proof.tool_motion import BEND_SHARE, Milling, insides, signed, solids
 from planner.proof.replay.tool_track import Track
