@@ -17,7 +17,7 @@ ELSEWHERE: Final = {
     ),
     **dict.fromkeys(
         ("scan.unit", "scan.flat", "scan.other_part"),
-        ("scan/test_scan_fit", "test_scans_that_are_none_of_the_part_are_refused_by_what_they_are"),
+        ("shopfloor/scan/test_scan_fit", "test_scans_that_are_none_of_the_part_are_refused_by_what_they_are"),
     ),
     "motion.station": (
         "test_long_wall",
@@ -28,25 +28,37 @@ ELSEWHERE: Final = {
             "trim.crosses", "trim.in_waste", "trim.off_part", "trim.narrow", "trim.joints", "trim.lead",
             "trim.wall", "trim.corner",
         ),
-        ("trim/test_input", "test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps"),
+        (
+            "processes/trim/plan/test_input",
+            "test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps",
+        ),
     ),
     "forming.holes": (
-        "forming/test_stages", "test_a_smaller_margin_and_a_hole_farther_away_help",
+        "processes/forming/plan/test_stages", "test_a_smaller_margin_and_a_hole_farther_away_help",
     ),
     "forming.features": (
-        "forming/test_stages", "test_features_that_do_not_add_up_to_the_part_are_refused",
+        "processes/forming/plan/test_stages", "test_features_that_do_not_add_up_to_the_part_are_refused",
     ),
-    "trim.open": ("trim/test_input", "test_an_open_drawing_is_refused"),
-    "trim.tool": ("trim/test_input", "test_a_forming_tool_cuts_no_sheet"),
-    "trim.die": ("trim/test_mill", "test_a_die_behind_the_sheet_is_not_cut"),
-    "trim.no_sheet": ("trim/test_input", "test_without_a_formed_sheet_nothing_is_trimmed"),
-    "trim.slow": ("trim/test_input", "test_an_arm_that_is_too_slow_is_told"),
+    "trim.open": ("processes/trim/plan/test_input", "test_an_open_drawing_is_refused"),
+    "trim.tool": ("processes/trim/plan/test_input", "test_a_forming_tool_cuts_no_sheet"),
+    "trim.die": ("processes/trim/plan/test_mill", "test_a_die_behind_the_sheet_is_not_cut"),
+    "trim.no_sheet": ("processes/trim/plan/test_input", "test_without_a_formed_sheet_nothing_is_trimmed"),
+    "trim.slow": ("processes/trim/plan/test_input", "test_an_arm_that_is_too_slow_is_told"),
     "problem.track": ("reading/test_axes", "test_what_cannot_be_a_track_is_told"),
     "problem.turntable": ("reading/test_axes", "test_what_cannot_be_a_turntable_is_told"),
-    "scan.file": ("scan/test_scan_fit", "test_bad_files_are_refused_in_words"),
-    "scan.no_marks": ("scan/test_scan_fit", "test_without_marks_height_and_tilt_are_found_and_said"),
-    "scan.marks": ("scan/test_scan_fit", "test_marks_say_how_well_a_scan_lies_and_which_of_them_is_doubted"),
-    "scan.hole": ("scan/test_adjustment", "test_a_scan_that_shows_too_little_is_refused_with_the_place"),
+    "scan.file": ("shopfloor/scan/test_scan_fit", "test_bad_files_are_refused_in_words"),
+    "scan.no_marks": (
+        "shopfloor/scan/test_scan_fit",
+        "test_without_marks_height_and_tilt_are_found_and_said",
+    ),
+    "scan.marks": (
+        "shopfloor/scan/test_scan_fit",
+        "test_marks_say_how_well_a_scan_lies_and_which_of_them_is_doubted",
+    ),
+    "scan.hole": (
+        "shopfloor/scan/test_adjustment",
+        "test_a_scan_that_shows_too_little_is_refused_with_the_place",
+    ),
     "robot.bodies": (
         "reading/test_robot_file",
         "test_meshes_that_are_not_there_are_refused_and_laid_there_are_hulled",
@@ -59,17 +71,18 @@ ELSEWHERE: Final = {
         "test_ur_jobs", "test_an_arm_without_a_language_is_refused_and_check_tells_of_its_reach_all_the_same",
     ),
     "post.ur_arm": (
-        "post/urscript/test_program", "test_an_arm_that_a_ur_controller_does_not_move_is_refused",
+        "languages/urscript/writer/test_program", "test_an_arm_that_a_ur_controller_does_not_move_is_refused",
     ),
     "post.trajectory": (
         "test_driven_jobs", "test_a_way_that_no_points_keep_is_told_and_a_stop_there_helps",
     ),
     "post.blend": (
-        "post/urscript/test_program", "test_a_turn_about_the_tcp_is_no_blend_and_a_stop_there_helps",
+        "languages/urscript/writer/test_program",
+        "test_a_turn_about_the_tcp_is_no_blend_and_a_stop_there_helps",
     ),
     "forming.force": ("test_acceptance", "test_an_error_says_how_it_is_accepted_and_following_that_works"),
     "kerf.unsettled": (
-        "hotwire/straight/test_offset_heat",
+        "processes/hotwire/plan/straight/test_offset_heat",
         "test_an_end_that_stands_still_has_no_slot_of_its_own",
     ),
     "motion.sag": (
@@ -80,7 +93,7 @@ ELSEWHERE: Final = {
     ),
     "motion.collision": ("motion/test_diagnosis", "test_the_change_that_is_named_opens_the_way"),
     "milling.too_large": (
-        "verify/milling/test_tool_motion",
+        "processes/milling/proof/test_tool_motion",
         "test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven",
     ),
     "control.machine": (
@@ -96,25 +109,26 @@ ELSEWHERE: Final = {
         "loops/test_machine", "test_corrections_beyond_the_range_are_told_and_a_larger_range_ends_it",
     ),
     "forming.springback": (
-        "forming/springback/test_springback",
+        "processes/forming/plan/springback/test_springback",
         "test_a_part_that_comes_back_is_told_and_each_remedy_helps",
     ),
     "forming.compensation": (
-        "forming/springback/test_compensation",
+        "processes/forming/plan/springback/test_compensation",
         "test_an_edited_file_is_refused_and_one_that_is_written_again_is_good",
     ),
     "forming.springback_mesh": (
-        "forming/springback/test_springback",
+        "processes/forming/plan/springback/test_springback",
         "test_too_few_triangles_are_told_and_as_many_as_advised_do",
     ),
     "forming.plate_test": (
-        "forming/springback/test_clamp_calibration", "test_what_are_no_readings_is_refused_by_line",
+        "processes/forming/plan/springback/test_clamp_calibration",
+        "test_what_are_no_readings_is_refused_by_line",
     ),
     "forming.clamp_unclear": (
-        "forming/springback/test_clamp_calibration", "test_what_is_not_told_is_said",
+        "processes/forming/plan/springback/test_clamp_calibration", "test_what_is_not_told_is_said",
     ),
     "forming.limit_load": (
-        "forming/springback/test_springback",
+        "processes/forming/plan/springback/test_springback",
         "test_a_sheet_that_snaps_is_told_by_its_limit_and_less_force_ends_it",
     ),
     "forming.loop_curves": (
@@ -216,21 +230,30 @@ ELSEWHERE: Final = {
         "test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works",
     ),
     "upload.unproven": (
-        "loading/test_loading_commands",
+        "shopfloor/loading/test_loading_commands",
         "test_what_was_changed_is_not_sent_and_an_old_result_is_proven_again",
     ),
-    "upload.release": ("loading/test_loading_commands", "test_what_is_not_released_is_not_sent"),
-    "upload.missing": ("loading/test_loading_commands", "test_programs_come_back_from_a_controller"),
+    "upload.release": ("shopfloor/loading/test_loading_commands", "test_what_is_not_released_is_not_sent"),
+    "upload.missing": (
+        "shopfloor/loading/test_loading_commands",
+        "test_programs_come_back_from_a_controller",
+    ),
     **dict.fromkeys(
         ("upload.login", "upload.address"),
-        ("loading/test_upload", "test_a_certificate_is_trusted_by_its_fingerprint_alone"),
+        ("shopfloor/loading/test_upload", "test_a_certificate_is_trusted_by_its_fingerprint_alone"),
     ),
     **dict.fromkeys(
         ("upload.busy", "upload.controller"),
-        ("loading/test_upload", "test_a_controller_that_is_not_ready_is_refused_and_nothing_is_written"),
+        (
+            "shopfloor/loading/test_upload",
+            "test_a_controller_that_is_not_ready_is_refused_and_nothing_is_written",
+        ),
     ),
-    "upload.differs": ("loading/test_upload", "test_tools_are_compared_with_the_text_of_the_module"),
-    "upload.write": ("loading/test_upload", "test_what_was_begun_is_taken_away"),
+    "upload.differs": (
+        "shopfloor/loading/test_upload",
+        "test_tools_are_compared_with_the_text_of_the_module",
+    ),
+    "upload.write": ("shopfloor/loading/test_upload", "test_what_was_begun_is_taken_away"),
     **dict.fromkeys(
         (
             "service.request", "service.not_found", "service.unknown_job", "service.unknown_file",
