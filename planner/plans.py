@@ -186,7 +186,7 @@ def _values() -> dict[str, type]:
     Claims are those of all processes that have been imported. Cutters are in exhibits, whose fields have no
     types.
     """
-    return _values_with(tuple(claim.kinds()))
+    return _values_with(claim.kinds())
 
 
 @functools.cache

@@ -9,7 +9,7 @@ process are in ``processes/<name>/claims.py``.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import ClassVar, Final, Literal
 
 from planner.claims.segments import Segment
@@ -23,19 +23,31 @@ class Claim:
     Attributes:
         on_curves: Whether the rules of this kind hold on curves of spline blocks as well. If not, writers use
             straight moves only. The proof has a list of its own.
+
+    Raises:
+        TypeError: Two kinds have the same name. Plan files state kinds by name.
     """
 
     on_curves: ClassVar[bool] = False
 
+    def __init_subclass__(cls) -> None:
+        """Register the kind. A second kind of the same name would replace the first one in plan files."""
+        other = _KINDS.get(cls.__name__, cls).__module__
+        if other != cls.__module__:
+            raise TypeError(f"{cls.__module__}: {other} already has a claim {cls.__name__}")
+        _KINDS[cls.__name__] = cls
 
-def kinds(base: type[Claim] = Claim) -> Iterator[type[Claim]]:
-    """Yield all kinds of claims whose modules have been imported, in the order of their definition.
+
+_KINDS: Final[dict[str, type[Claim]]] = {}
+"""Kinds of claims by name."""
+
+
+def kinds() -> tuple[type[Claim], ...]:
+    """Return all kinds of claims whose modules have been imported, in the order of their definition.
 
     The registry of processes imports the claims of all processes.
     """
-    for kind in base.__subclasses__():
-        yield kind
-        yield from kinds(kind)
+    return tuple(_KINDS.values())
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,7 +20,8 @@ class Process(NamedTuple):
             ``leaves``, the block as the next operation finds it).
         module: Module of the process's jobs. It is imported on first use.
         name: Class of the process's jobs in that module.
-        claims: Kinds of claims that only this process makes. Plans that hold other kinds cannot be loaded.
+        claims: Kinds of claims that only this process makes. They are imported with the process, so that
+            plans that contain them can be loaded.
     """
 
     schema: type[BaseModel]

@@ -36,6 +36,13 @@ def test_processes_register_the_kinds_of_claims_that_are_not_general() -> None:
     assert rest == {"ArmSags", "ContactOnlyIn", "FeedWindow", "HoldsStock", "OneOf", "OperatorDialogue"}
 
 
+def test_two_kinds_of_claims_cannot_have_the_same_name() -> None:
+    """Plan files state kinds by name, so a package must not replace a kind of Tandem."""
+    with pytest.raises(TypeError, match=r"planner\.claims\.claim already has a claim HoldsStock"):
+        type("HoldsStock", (Claim,), {"__module__": "gauge.claims"})
+    assert [kind for kind in claim.kinds() if kind.__name__ == "HoldsStock"] == [HoldsStock]
+
+
 def test_what_no_rule_looks_at_is_refused_by_name() -> None:
     (issue,) = unproven({"panel": (GluesParts("cut/a"), GluesParts("cut/b"))})
     assert issue.code == "claims.unproven"
