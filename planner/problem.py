@@ -116,8 +116,6 @@ END: Final = "//end"
 axis of a gantry, whose name is behind one such sign, can be called so."""
 PLATE: Final = "turntable"
 """Name of the body of the cell that is a turntable's plate."""
-
-
 SAME_VALUE: Final = 1e-6
 """Distances [m] of values of linear axes from home that differ by no more are one."""
 OUTER_DECIMALS: Final = 4

@@ -10,20 +10,12 @@ from collections.abc import Iterable
 from typing import Final, Literal
 
 Phase = Literal["", "in", "out"]
-
-
 PHASES: Final[tuple[Phase, ...]] = ("in", "", "out")
 """The way in to what a segment works on, the work itself, the way out: in the order in which they come."""
-
-
 WORKING_KINDS: Final = frozenset({"cut", "form", "mill", "trim"})
 """Kinds of segments in which a tool's own edge works the stock, and may touch it."""
-
-
 ON_ENDING: Final = "on"
 """Ends the label of a segment without a phase whose name ends as if it had one."""
-
-
 _ENDING: Final = re.compile(rf"(.+)_(in|out|{ON_ENDING})", re.DOTALL)
 """Label of a segment with a phase, or with the mark that it has none."""
 

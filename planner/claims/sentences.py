@@ -57,12 +57,12 @@ KRL_CLEAR: Final = Sentence("Is the way of the arm to its home clear, and nobody
 KEEP_OFF: Final = Sentence(
     "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is confirmed."
 )
-"""Told before a track goes to a station, of which nothing else tells."""
+"""Shown before a track moves to a station."""
 KEEP_OFF_RIDING: Final = Sentence(
     "Keep off the track {unit}: it takes arm {arm}, folded at its home, to {value} mm once this is "
     "confirmed, and goes along while the arm works."
 )
-"""The same of one that goes along from there."""
+"""Shown before a track moves to the place from which it moves along with the work."""
 KEEP_OFF_GANTRY: Final = Sentence(
     "Keep off the gantry {unit}: once this is confirmed it takes arm {arm}, folded at its home, one "
     "axis after "
@@ -100,26 +100,9 @@ UNANSWERED: Final = Sentence(
 )
 
 
-# ---- where a robot stands ----
-
-
 # ---- error handlers ----
 
 FAILED: Final = Sentence("Tandem: error in {procedure}, number")
 """In front of the error's number."""
 JOINED: Final = Sentence("The arms may be joined: move neither alone.")
 ALONE: Final = Sentence("Check the arm before it moves.")
-
-# ---- a bent wire ----
-
-
-# ---- a bow ----
-
-
-# ---- a cutter ----
-
-
-# ---- a sheet ----
-
-
-# ---- a torch ----

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import Annotated, NoReturn
 
 import tyro
 from rich.table import Table
@@ -35,9 +35,6 @@ from planner.cli.verification import compare_with_file, record_proof, sign_folde
 from planner.files import deferred_sigint
 from planner.issues import Issue, Severity, TandemError, accepted, given_wrong, has_errors
 from planner.runtime.memory import gc_frozen
-
-if TYPE_CHECKING:
-    pass
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN, NOT_COMPARED = 0, 1, 2, 3, 4, 5
 """Exit codes of the command."""

@@ -12,8 +12,6 @@ from planner.geometry.mesh import TriangleMesh, corner_normals
 
 CREASE_ANGLE: Final = float(np.deg2rad(20.0))
 """Triangles that turn by more than this [rad] over an edge meet in a crease."""
-
-
 INSIDE_WEIGHT: Final = -1e-9
 """Least barycentric weight of a place inside a triangle."""
 

@@ -40,8 +40,6 @@ def _off(rows: FloatArray, along: FloatArray) -> float:
 
 SHARP_TURN: Final = 31.0 * DEG
 """The tool stops where its way turns by more than this [rad]."""
-
-
 LEAST_MOVE: Final = 1e-6
 """Moves that are shorter than this [m] have no direction."""
 

@@ -14,16 +14,10 @@ from planner.claims.sentences import SPELT, Sentence
 
 NUMBER_PATTERN = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 """A number in a text."""
-
-
 FIGURE_SHARE = 1e-8
 """What two ways to work out a figure may differ by besides its rounding, as a share of it."""
-
-
 DIGITS = 6
 """Digits of a figure whose format states none."""
-
-
 LONGEST_WORD = 40
 """Longer words are parted where a line of the panel ends."""
 

@@ -94,12 +94,8 @@ def _plain(step: Step) -> bool:
 
 MODULES = (".mod", ".modx", ".sys", ".sysx")
 """Endings of the names of RAPID modules."""
-
-
 CONTROLLER = "controller"
 """Folder of the files for controllers, which are no programs."""
-
-
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 
 

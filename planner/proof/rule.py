@@ -29,8 +29,6 @@ class Outcome:
 
 
 P = ParamSpec("P")
-
-
 R_co = TypeVar("R_co", covariant=True)
 
 

@@ -29,8 +29,6 @@ from planner.reading.strict_yaml import MAX_DEPTH
 
 SQUARE: Final = 1e-6
 """How far the columns of a rotation may be off unit length and right angles."""
-
-
 MOST_BITS: Final = 1000
 """Whole numbers of more bits are more than a float holds, and soon more than Python writes out."""
 
@@ -231,7 +229,5 @@ def _stored(text: str, suffix: str) -> str:
 
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 """Columns of an arm's pose: position [mm] and unit quaternion."""
-
-
 ROW_COLUMNS = ("feed_mm_s", "feed_min_mm_s", "segment", "stop")
 """Columns that a row may have besides."""

@@ -6,24 +6,12 @@ from typing import Final
 
 BUTTONS: Final = ("Free", "On", "Stop")
 """Answers to :func:`again`: nothing stands in the way of what follows; power is on again; neither."""
-
-
 OFF_BY_MM: Final = "is off by [mm]"
-
-
 OFF_BY_DEGREES: Final = "and turned by [degrees]"
-
-
 OFF_HOME: Final = "is off its home by"
 """What a track or turntable is; its figure, in mm or degrees, follows."""
-
-
 NOT_AS_PLANNED: Final = "is not as it was planned."
-
-
 NOTHING_MOVES: Final = ("Nothing moves. Put it right,", "then PP to main in all tasks.")
-
-
 REFUSED: Final = (
     "Not started: the power was on at the",
     "stop. Free the wire or tool, then",
@@ -44,8 +32,6 @@ def again(signal: str) -> tuple[str, ...]:
 
 BEGIN_BUTTONS: Final = ("Begin", "Stop")
 """Answers to :func:`burned`: from main, with a sheet without these slots; or nothing."""
-
-
 ENDED: Final = (
     "Not started: a torch burned at the stop",
     "or the controller was off. Move it out",

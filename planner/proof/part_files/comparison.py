@@ -311,11 +311,7 @@ ALL_RULED: Final = "*"
 OUTLINES: Final = frozenset({"outline", "hole"})
 """What outlines of a plate are called, before the letters that tell them apart."""
 ON_FACE: Final = 1e-4
-"""[m] a face that is claimed is the one that is read where it is no farther from it than this, ..."""
-NOISE_TOLERANCES: Final = 2.5
-"""... or, in a mesh with noise, than so many of its tolerances: folds are rounded there."""
-AXIS_PLACES: Final = 5
-"""Places along a cutter's axis that must be on the outer side."""
+"""Distance [m] up to which a claimed face is the face that is read from the part file."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,16 +13,10 @@ from planner.proof.part_files import UNITS, UnreadError, curves, rhino
 
 MILLIMETRE = 1e-3
 """One millimetre in metres."""
-
-
 SPLINE_PLACES = 4000
 """Places on a spline."""
-
-
 CORNERED_KINDS = ("polyline", "dxf", "rhino")
 """Kinds of curves whose corners are meant."""
-
-
 SAME_POINT = 1e-9
 """Points of a curve nearer to each other than this [m] are one."""
 

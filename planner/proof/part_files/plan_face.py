@@ -13,8 +13,6 @@ from planner.geometry.arrays import FloatArray, IntArray
 CREASE_COSINE = np.cos(np.deg2rad(20.0))
 """Cosine of the angle (20 degrees) at an edge between triangles from which on it is a crease, across which
 no normal is smoothed."""
-
-
 PLAN_ROUNDING = 1e-6
 """Places this near to a triangle [m] in plan are on it."""
 

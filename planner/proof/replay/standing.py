@@ -16,12 +16,8 @@ from planner.proof.replay.tool_speeds import SLOW, tool_speeds
 
 _PIECES: Final = 8
 """Pieces of the way between two points at which its evenness is looked at."""
-
-
 STANDS: Final = 1e-4
 """Below this speed [rad/s] of its fastest joint an arm stands on all of the way to a point."""
-
-
 MAX_SAMPLES_AT_ONCE: Final = 16_384
 
 

@@ -11,18 +11,10 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 
 Spaced = tuple[FloatArray, FloatArray, IntArray]
 """Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""
-
-
 TRACK_LEVER = 0.15
 """A point so far behind the tip [m] counts, with the tip, for the way between places."""
-
-
 _MOST_BENDS = 64
 """Rounds at most in which places are added at bends, one between two places each."""
-
-
-MAX_PLACES_AT_ONCE = 16_384
-"""Places that are worked on at once."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -43,8 +43,6 @@ BETWEEN_TARGETS = 1e-3
 MEASURED_REACH = 0.1
 """Distances are measured up to this [m], or up to one and a half times the wanted clearance where that is
 more."""
-NEAR_CLAMP = 0.02
-"""Length of wire next to a clamp that is not held against that clamp [m]."""
 
 
 def accepted(wanted: float) -> float:

@@ -341,6 +341,3 @@ def _inside(steps: Sequence[Step]) -> Iterator[tuple[Step, bool]]:
 
 def _says(step: MessageStep, sentence: Sentence, figures: dict[str, float | str | None]) -> bool:
     return step.panel == "line" and not step.options and fit(sentence, figures, [step.text]).whole
-
-
-# ---- figures of the motion ----

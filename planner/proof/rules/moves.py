@@ -83,7 +83,7 @@ def _rapid(move: MoveStep, limit: float) -> tuple[float, list[str]]:
 
 
 def _shares(task: TaskText, move: MoveStep) -> tuple[float, list[str]]:
-    """The same of KRL and URScript: a PTP or movej, by shares of the axes' speeds."""
+    """Check the fraction of the axes' speeds that a PTP (KRL) or movej (URScript) states."""
     if move.speed.axes is None:
         return 0.0, [f"{move.kind} does not state shares of the axes' speeds; PTP or movej does"]
     fastest = max(move.speed.axes)

@@ -19,29 +19,17 @@ from planner.proof.rule import Outcome, at_step, mm, rule
 
 _SAME_PLACE = 1e-5
 """A move whose TCP goes no farther [m] turns only."""
-
-
 _SMALLEST_ZONE = 1.001e-6
 """Roundings so small [m] need no room: the controller itself never takes more than half of a move."""
-
-
 _SMALLEST_ZONE_TURN = 1.001 * np.deg2rad(0.001)
-"""The same of turns [rad]."""
-
-
+"""Roundings of the orientation below this angle [rad] need no room either."""
 _CREEP_SPEED = 0.11e-3
 """Moves slower than this [m/s], and than the next, are as fast as KRL lets them be; no feed or limit is so
 low."""
-
-
 _CREEP_TURN_RATE = np.deg2rad(0.15)
-"""The same of turns [rad/s]."""
-
-
+"""Turns slower than this rate [rad/s], and than the next turn, are as fast as KRL allows."""
 PAIR_TIME_SHARE = 0.01
 """How much the times of two moves that run together may differ: speeds have few digits."""
-
-
 _OTHER_SOLUTION = np.deg2rad(0.01)
 """Joints that differ by more [rad] are another solution."""
 

@@ -8,8 +8,6 @@ from planner.problem import Controller
 
 KRL_PARTNER_SEEN: Final = "TANDEM_SEEN"
 """The variable of a KUKA controller that says that both programs have run since the last stop."""
-
-
 KRL_RUNS: Final = "$PRO_ACT AND $PERI_RDY"
 """That a program runs with the drives on."""
 

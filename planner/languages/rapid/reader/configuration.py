@@ -10,16 +10,10 @@ from planner.programs.text import STRING
 
 Row = frozenset[tuple[str, str]]
 """Attributes of an instance with their values, "" for one that has none; names in lower case."""
-
-
 _SILENT_ATTRIBUTES = ("label", "category")
 """Attributes that change nothing."""
-
-
 _ATTRIBUTE = re.compile(r'-(\w+)(?:\s+("[^"]*"|[^\s"-][^\s"]*))?(?:\s+|$)')
 """An attribute of a line of a configuration file."""
-
-
 _SPELLINGS: Final = {
     name.lower(): name
     for name in (
@@ -29,8 +23,6 @@ _SPELLINGS: Final = {
     )
 }
 """Attributes as a controller writes them: whether it minds their case is not known."""
-
-
 _INSTANCE_KIND = re.compile(r"(\w+):")
 """The kind of what such a file lists."""
 
@@ -119,8 +111,6 @@ _SIGNAL_WORD = re.compile(
     r"\s*\(?\s*(?:\\\s*\w+\s*(?::=[^,;]*)?,?\s*)*([a-z]\w*)"
 )
 """Instructions and functions of RAPID that name a digital signal, options before it left out."""
-
-
 _INPUT_WORDS: Final = ("waitdi", "dinput", "testdi")
 """Those whose signal is an input."""
 

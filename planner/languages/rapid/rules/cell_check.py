@@ -19,16 +19,10 @@ from planner.proof.rules.external_axes import OFF_HOME
 
 _BEFORE_CALL = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
 """What may stand in main before the call."""
-
-
 _CHECK_HEAD = ["proc", "check_cell", "(", ")"]
-"""Words that the procedure begins with."""
-
-
+"""First words of the procedure that checks the cell."""
 _AXES_HEAD = ["proc", "check_axes", "(", ")"]
-"""The same of that which looks where tracks and turntables are."""
-
-
+"""First words of the procedure that checks the positions of tracks and turntables."""
 _DISTANCE, _TURN = 0.1, 0.02
 """How far the controller's frames may be off the plan's [mm], [degrees]."""
 

@@ -93,8 +93,6 @@ REFUSED_OPTIONS = {
     "corr": "\\Corr lets sensors change the path",
 }
 """Options of moves that are refused, and why."""
-
-
 _REFUSED_ATTRIBUTES = {
     "sysmodule": "it stays in the controller when the program is taken out, beside the next one",
     "noview": "nobody can read it at the controller",
@@ -103,8 +101,6 @@ _REFUSED_ATTRIBUTES = {
     "readonly": "nobody can correct it at the controller",
 }
 """Attributes of modules that are refused, and why."""
-
-
 _PATH_INSTRUCTIONS = (
     "StopMove",
     "StartMove",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -9,8 +11,12 @@ from planner.geometry.arrays import FloatArray, IntArray
 from planner.processes.forming.proof.face import Face, least_gap
 from planner.processes.forming.proof.state import Forming
 from planner.processes.forming.proof.swept import Swept, swept
-from planner.proof.part_files.comparison import NOISE_TOLERANCES, ON_FACE
+from planner.proof.part_files.comparison import ON_FACE
 from planner.proof.part_files.sheets import SheetFace
+
+_NOISE_TOLERANCES: Final = 2.5
+"""Factor of the tolerance of a mesh with noise by which a face may be farther away, as folds are
+rounded."""
 
 
 def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: bool) -> tuple[FloatArray, ...]:
@@ -32,7 +38,7 @@ def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: boo
         found = swept(Swept.of(one), here) - claim.radius
         near = one.face.nearest(here)
         # where the face that is claimed is not the read one, its steps and what balls reach of it say nothing
-        found[near.apart > ON_FACE + NOISE_TOLERANCES * sheet.tolerance] = np.nan
+        found[near.apart > ON_FACE + _NOISE_TOLERANCES * sheet.tolerance] = np.nan
         ridge = np.zeros(len(here))
         np.maximum.at(ridge, near.row, claim.scallop[one.face.rows[near.triangle]])
         rows = np.flatnonzero((found > ridge) & (found < claim.radius))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -9,7 +11,10 @@ from planner.geometry.arrays import FloatArray
 from planner.processes.milling.claims import MillsSurface
 from planner.processes.milling.proof.tool_motion import BEND_SHARE, SIGHT_DISTANCE, Milling, solids, sweep
 from planner.proof.part_files import Samples
-from planner.proof.part_files.comparison import AXIS_PLACES, Made
+from planner.proof.part_files.comparison import Made
+
+_AXIS_PLACES: Final = 5
+"""Number of places along the axis of a cutter that must be on the outer side."""
 
 
 def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
@@ -23,7 +28,7 @@ def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
     tip, axis, _ = track.spaced(step, BEND_SHARE * one.tolerance)
     off, _ = sweep(places.points, tip, axis, solid)
     # the cutter's axis has to be on the outer side
-    heights = np.linspace(min(solid.radius, solid.end), solid.end, AXIS_PLACES)
+    heights = np.linspace(min(solid.radius, solid.end), solid.end, _AXIS_PLACES)
     line = np.concatenate([tip + height * axis for height in heights])
     near = line[np.asarray(cKDTree(line).query(places.points)[1])]
     outside = np.einsum("ij,ij->i", near - places.points, places.normals) > 0.0

@@ -24,12 +24,15 @@ from planner.processes.milling.proof.following import Followed, follow, rows_to_
 from planner.processes.milling.proof.wanted_ways import down, up
 from planner.proof.context import Context
 from planner.proof.replay.motion import during
-from planner.proof.replay.tool_track import MAX_PLACES_AT_ONCE, Spaced, Track
+from planner.proof.replay.tool_track import Spaced, Track
 from planner.runtime.executor import SERIAL, Executor
 from planner.tooling import Cutter, Mill
 
 BEND_SHARE = 0.1
 """Part of a tolerance that straight lines between places may leave the way by, where it bends."""
+
+_MAX_PLACES_AT_ONCE = 16_384
+"""Number of places that are processed at once. It limits memory and does not change results."""
 
 
 def in_block(tip: FloatArray, axis: FloatArray, length: float, radius: float, stock: Stock) -> BoolArray:
@@ -176,8 +179,8 @@ class Milling:
     def _seen(self, index: int, arm: str, rows: IntArray) -> Iterator[tuple[slice, FloatArray]]:
         """Poses (M, 4, 4) of the TCP in the block's frame at ``rows`` of the looks, part by part: of all at
         once of a long job they would take more memory than all the rest of the proof."""
-        for first in range(0, len(rows), MAX_PLACES_AT_ONCE):
-            part = slice(first, first + MAX_PLACES_AT_ONCE)
+        for first in range(0, len(rows), _MAX_PLACES_AT_ONCE):
+            part = slice(first, first + _MAX_PLACES_AT_ONCE)
             own = self.context.motion.looks.row[rows[part]]
             yield part, inverse(self.context.stock_poses(index, own)) @ self.context.motion.poses(arm, own)
 

@@ -116,7 +116,7 @@ def test_what_is_found_hangs_not_on_how_many_places_are_worked_on_at_once(
     fine: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = fine.prover.prove(fine.programs, last="verify.spindle").rules
-    monkeypatch.setattr(tool_motion, "MAX_PLACES_AT_ONCE", 7)
+    monkeypatch.setattr(tool_motion, "_MAX_PLACES_AT_ONCE", 7)
     monkeypatch.setattr(following, "_PLACES_AT_ONCE", 7)
     assert fine.prover.prove(fine.programs, last="verify.spindle").rules == whole
 

@@ -10,7 +10,10 @@ from planner.issues import Issue
 from planner.processes.hotwire.proof.wire_motion import Wire
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, at_sample, mm, rule
-from planner.proof.rules.clearance import NEAR_CLAMP, Models, accepted
+from planner.proof.rules.clearance import Models, accepted
+
+_NEAR_CLAMP_M = 0.02
+"""Length of wire [m] next to a clamp whose distance to that clamp is not checked."""
 
 
 @rule("verify.wire_clearance")
@@ -40,7 +43,7 @@ def wire_bodies(
                 {arm: context.motion.links[arm][rows] for arm in wire.arms},
                 wire.world[chosen],
                 wire.radius,
-                NEAR_CLAMP,
+                _NEAR_CLAMP_M,
                 against,
             )
             distance[chosen] = found.distance

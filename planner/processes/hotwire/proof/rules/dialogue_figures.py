@@ -21,20 +21,12 @@ from planner.proof.rules.dialogue import Heard, compare_steps
 
 DIALOGUE_FIGURES = "verify.dialogue_figures"
 """Code of the rule about figures that follow from the motion."""
-
-
 CLAMP_DISTANCE_ERROR = 0.02e-3
 """How far the clamps may be off the told distance besides its rounding [m]."""
-
-
 WIRE_ANGLE_ERROR = 0.02
 """How far the wire may be off the told angle besides its rounding [deg]."""
-
-
 SIGNLESS_ANGLE = 1.0
 """The sign of smaller angles is not looked at [deg]."""
-
-
 SLOT_SHARE = 0.05
 """Share of the slot by which spacers may be off it besides rounding: its width follows the wire's speed."""
 
