@@ -77,7 +77,7 @@ def test_each_example_is_here() -> None:
 @pytest.mark.parametrize("path", sorted(EXAMPLES.rglob("*.py")), ids=lambda path: path.stem)
 def test_an_example_is_read_at_once(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) < LINES
+    assert len(text.splitlines()) <= LINES
     assert text.startswith('"""')
     assert "accept=" not in text, "an example accepts no errors"
 
