@@ -6,6 +6,7 @@ A code is ``room.what``; it is stable once released.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Final
 
 
@@ -804,3 +805,17 @@ CODES: Final[dict[str, Code]] = {
     # internal
     "internal.error": Code("Tandem itself failed; nothing was written"),
 }
+
+
+def register(codes: Mapping[str, Code]) -> None:
+    """Add the codes of a plug-in. Registering the same codes again changes nothing.
+
+    Args:
+        codes: Rows by code.
+
+    Raises:
+        ValueError: A code is taken by another plug-in, or by Tandem.
+    """
+    for code, row in codes.items():
+        if CODES.setdefault(code, row) is not row:
+            raise ValueError(f"states the issue code {code}, which is taken")

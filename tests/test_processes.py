@@ -11,6 +11,7 @@ import pytest
 from planner import pipeline
 from planner.issues import TandemError
 from planner.processes import registry
+from planner.runtime import plugins
 from tests import small_problem
 
 RING = "{name: ring, process: ring, arms: [left], radius_mm: 40, height_mm: 300, feed_mm_s: 20}"
@@ -18,9 +19,14 @@ RING = "{name: ring, process: ring, arms: [left], radius_mm: 40, height_mm: 300,
 
 @pytest.fixture(autouse=True)
 def _found_anew() -> Iterator[None]:
-    registry.all_processes.cache_clear()
+    _forget()
     yield
+    _forget()
+
+
+def _forget() -> None:
     registry.all_processes.cache_clear()
+    plugins.installed.cache_clear()
 
 
 def install(path: pytest.MonkeyPatch, folder: Path, package: str, *points: str) -> None:
@@ -68,7 +74,7 @@ def refused(path: Path) -> str:
     [
         ("ring = no_such_module_at_all:PROCESS", "ModuleNotFoundError"),
         ("ring = tests.toy_process:NOTHING", "AttributeError"),
-        ("ring = tests.toy_process:Ring", "not a planner.processes.Process"),
+        ("ring = tests.toy_process:Ring", "not planner.runtime.plugins.Process"),
         ("ring = tests.toy_process:UNFINISHED", "has a schema without arms, leaves()"),
     ],
 )

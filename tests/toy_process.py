@@ -76,7 +76,7 @@ class RingJob(Job[Ring]):
         return (FollowsPoses(arm, "stock", places, (SPIN,), 1e-4, 1e-3), OperatorDialogue((arm,)))
 
 
-PROCESS = Process(Ring, "tests.toy_process", "RingJob")
+PROCESS = Process("tests.toy_process:Ring", "tests.toy_process:RingJob")
 
 
 class Unfinished(Strict):
@@ -86,4 +86,4 @@ class Unfinished(Strict):
     process: Literal["ring"]
 
 
-UNFINISHED = Process(Unfinished, "tests.toy_process", "RingJob")
+UNFINISHED = Process("tests.toy_process:Unfinished", "tests.toy_process:RingJob")

@@ -1,97 +1,102 @@
-"""The registry of processes: one line each, and those of installed packages.
+"""The registry of processes, for planner and readers.
 
-A process turns an operation on a stock into a job: its targets and what must hold of them. What it
-needs for that is imported where a problem first asks for it. A package adds one by an entry point of
-the group ``tandem.processes``: its name is the word in problem files, its object a :class:`Process`.
+A process turns an operation on a stock into a job: its targets, and the claims that must hold. What it needs
+for that is imported where a problem first asks for it. For the plug-in point see
+:mod:`planner.runtime.plugins`.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Final
+from typing import Any
 
 from pydantic import BaseModel
 
+from planner import issue_codes
 from planner.cell import sag
 from planner.claims.claim import Claim
 from planner.issues import Issue, TandemError
-from planner.problem import Problem
-from planner.processes.forming import claims as forming_claims
-from planner.processes.forming.plan.operation import Forming
-from planner.processes.hotwire import claims as hotwire_claims
-from planner.processes.hotwire.plan.operation import ElasticWire, Straight
-from planner.processes.milling import claims as milling_claims
-from planner.processes.milling.plan.operation import Milling
-from planner.processes.poses import claims as poses_claims
-from planner.processes.poses.plan.job import Posed
-from planner.processes.process import Process
-from planner.processes.trim import claims as trim_claims
-from planner.processes.trim.plan.operation import Trim
+from planner.problem import Part, Problem, Setup
+from planner.runtime import plugins
+from planner.runtime.plugins import Found, PluginError, Process
 from planner.targets import Job
-
-PROCESSES: Final[Mapping[str, Process]] = {
-    "forming": Process(Forming, "planner.processes.forming.plan.job", "FormingJob", forming_claims.CLAIMS),
-    "elastic_wire": Process(
-        ElasticWire, "planner.processes.hotwire.plan.elastic.job", "ElasticJob", hotwire_claims.CLAIMS
-    ),
-    "straight_wire": Process(
-        Straight, "planner.processes.hotwire.plan.straight.job", "StraightJob", hotwire_claims.CLAIMS
-    ),
-    "milling": Process(Milling, "planner.processes.milling.plan.job", "MillingJob", milling_claims.CLAIMS),
-    "trim": Process(Trim, "planner.processes.trim.plan.job", "TrimJob", trim_claims.CLAIMS),
-    "targets": Process(Posed, "planner.processes.poses.plan.job", "PosedJob", poses_claims.CLAIMS),
-}
-GROUP: Final = "tandem.processes"
-"""Entry points by which installed packages add processes."""
 
 
 @functools.cache
 def all_processes() -> Mapping[str, Process | Issue]:
-    """All processes by the word that problem files use; of what cannot be used, or is claimed twice, the
-    issue (``problem.process_package``) that says why. It stops no problem but those that name it."""
-    found: dict[str, Process | Issue] = dict(PROCESSES)
-    owners = dict.fromkeys(PROCESSES, "Tandem")
-    for point in sorted(entry_points(group=GROUP), key=lambda one: (one.name, one.value)):
-        owner = f"package {point.dist.name}" if point.dist is not None else point.value
-        if point.name in owners:
-            what = f"the process {point.name!r} is claimed by {owners[point.name]} and by {owner}"
-            hint = "uninstall one of them, or give its entry point another name"
-            found[point.name] = Issue("problem.process_package", f"{what}; {hint}")
-        else:
-            found[point.name] = _loaded(point, owner)
-            owners[point.name] = owner
-    return found
+    """Return all processes by the word that problem files use.
+
+    A process that cannot be used is an issue (``problem.process_package``) that says why. It stops only
+    problems that name it.
+    """
+    return {name: _examined(name, found) for name, found in plugins.installed(Process).items()}
 
 
-def _loaded(point: EntryPoint, owner: str) -> Process | Issue:
+def _examined(name: str, found: Found) -> Process | Issue:
+    """Load what reading a problem needs of a process: its schema, claims and issue codes."""
+    process = found.plugin
+    if not isinstance(process, Process):
+        return Issue("problem.process_package", found.fault)
     try:
-        made = point.load()
-    except Exception as error:  # whatever goes wrong while somebody else's code is imported
-        fault = f"cannot be imported ({type(error).__name__}: {error})"
-    else:
-        if isinstance(made, Process) and isinstance(made.schema, type) and issubclass(made.schema, BaseModel):
-            lacking = [name for name in ("name", "process", "arms") if name not in made.schema.model_fields]
-            lacking += ["leaves()"] if not callable(getattr(made.schema, "leaves", None)) else []
-            if not lacking:
-                return made
-            fault = f"has a schema without {', '.join(lacking)}, which every operation has"
-        else:
-            kind = type(made).__name__
-            fault = f"is {kind}, not a planner.processes.Process with the schema of its operation"
-    what = f"the process {point.name!r} of {owner} {fault}"
-    return Issue("problem.process_package", f"{what}; mend or uninstall {owner} ({point.value})")
+        if process.codes is not None:
+            issue_codes.register(plugins.load(process.codes, dict))
+        if process.claims is not None:
+            plugins.load(process.claims, tuple)
+        lacking = _lacking(plugins.load(process.schema, type))
+        if lacking:
+            raise PluginError(f"has a schema without {', '.join(lacking)}, which every operation has")
+    except (PluginError, ValueError) as error:
+        what = f"the process {name!r} of {found.owner} {error}; mend or uninstall {found.owner}"
+        return Issue("problem.process_package", what)
+    return process
+
+
+def _lacking(schema: type) -> list[str]:
+    """Name what a schema lacks of an operation."""
+    if not issubclass(schema, BaseModel):
+        raise PluginError(f"has the schema {schema.__name__}, which is no pydantic model")
+    lacking = [name for name in ("name", "process", "arms") if name not in schema.model_fields]
+    return lacking + ([] if callable(getattr(schema, "leaves", None)) else ["leaves()"])
+
+
+def _schema(process: Process) -> type[BaseModel]:
+    schema: type[BaseModel] = plugins.load(process.schema, type)
+    return schema
+
+
+def make_job(
+    process: Process,
+    operation: Any,
+    setup: Setup,
+    part: Part | None,
+    advise: bool = True,
+    brief: bool = False,
+) -> Job[Any]:
+    """Return the job of an operation.
+
+    Args:
+        process: Process of the operation.
+        operation: Operation, an instance of the schema.
+        setup: How the operation finds the cell.
+        part: Part of the problem.
+        advise: Whether the job looks for a remedy where it cannot be made.
+        brief: Whether the job makes targets only for a first look.
+    """
+    made: Job[Any] = plugins.load(process.job, type)(operation, setup, part)
+    for name, value in {"advise": advise, "brief": brief}.items():
+        object.__setattr__(made, name, value)  # jobs of other packages are made of the three alone
+    return made
 
 
 def schemas() -> dict[str, type[BaseModel]]:
     """The operation schema of every process that can be used, by the word that problem files use."""
-    return {name: one.schema for name, one in all_processes().items() if isinstance(one, Process)}
+    return {name: _schema(one) for name, one in all_processes().items() if isinstance(one, Process)}
 
 
 def readers() -> dict[str, type[BaseModel] | Issue]:
     """What reads the operations of a problem file, by process: a schema, or why there is none."""
-    return {name: one.schema if isinstance(one, Process) else one for name, one in all_processes().items()}
+    return {name: _schema(one) if isinstance(one, Process) else one for name, one in all_processes().items()}
 
 
 def job(problem: Problem, index: int, advise: bool = True, brief: bool = False) -> Job[Any]:
@@ -102,7 +107,7 @@ def job(problem: Problem, index: int, advise: bool = True, brief: bool = False) 
     process = all_processes()[operation.process]
     if isinstance(process, Issue):
         raise TandemError(process)
-    return process.job(operation, problem.found_by(index), problem.part, advise, brief)
+    return make_job(process, operation, problem.found_by(index), problem.part, advise, brief)
 
 
 def jobs(problem: Problem, advise: bool = True, brief: bool = False) -> tuple[Job[Any], ...]:

@@ -76,7 +76,7 @@ SEEDED_IMPORTS = {
     "processes.forming.proof -> processes.trim.claims": {"processes"},
     "processes.trim.plan -> processes.milling.plan": {"processes"},
     "processes.trim.plan -> processes.forming.plan": set(),
-    "processes.registry -> processes.hotwire.plan": set(),
+    "processes.registry -> processes.hotwire.plan": {"processes"},
     "languages.krl.reader -> languages.rapid.reader": {"languages"},
     "languages.writing -> languages.krl.writer": {"languages"},
     # Report.

@@ -37,4 +37,4 @@ class RingJob(Job[Ring]):
         return circle, dialogue.OperatorDialogue(self.operation.arms)
 
 
-PROCESS = Process(Ring, "scan_ring", "RingJob")
+PROCESS = Process(schema="scan_ring:Ring", job="scan_ring:RingJob")

@@ -1,1 +1,11 @@
 """Incremental sheet forming."""
+
+from typing import Final
+
+from planner.runtime.plugins import Process
+
+PROCESS: Final = Process(
+    schema="planner.processes.forming.plan.operation:Forming",
+    job="planner.processes.forming.plan.job:FormingJob",
+    claims="planner.processes.forming.claims:CLAIMS",
+)

@@ -1,0 +1,195 @@
+"""Plug-in points: manufacturing processes and robot languages.
+
+A plug-in is a value (:class:`Process` or :class:`Language`) that names its parts by references such as
+``"planner.processes.forming.plan.job:FormingJob"``. A reference is imported on first use. So a room on a low
+floor (the proof, the report) uses a part of a plug-in without importing the plug-in, and reading a problem
+imports neither planner nor proof.
+
+Plug-ins of Tandem are listed in :data:`BUILT_IN`. Plug-ins of other packages are found by their entry points
+in the groups ``tandem.processes`` and ``tandem.languages``. The name of an entry point is the name of the
+plug-in, its object is a :class:`Process` or a :class:`Language`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any, ClassVar, Final, TypeVar
+
+T = TypeVar("T")
+Reference = str
+"""A module and an object in it, ``"package.module:object"``."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Process:
+    """A manufacturing process. All members are references.
+
+    Attributes:
+        schema: Schema of the operation, a pydantic model with the fields ``name``, ``process`` and ``arms``
+            and the method ``leaves(stock)``, which returns the stock as the next operation finds it.
+        job: Subclass of :class:`planner.targets.Job`: its targets, and the claims that must hold.
+        claims: Tuple of the kinds of claims that only this process makes.
+        codes: Mapping of issue codes to :class:`planner.issue_codes.Code`.
+        proof: :class:`planner.proof.contribution.ProofOfProcess`: facts and rules.
+        report: :class:`planner.report.contribution.ReportOfProcess`: exhibits, and rows of the setup sheet.
+    """
+
+    GROUP: ClassVar[str] = "tandem.processes"
+
+    schema: Reference
+    job: Reference
+    claims: Reference | None = None
+    codes: Reference | None = None
+    proof: Reference | None = None
+    report: Reference | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Language:
+    """A robot language.
+
+    Attributes:
+        title: Name of the language in messages.
+        families: Families of robots whose controllers read the language.
+        endings: Endings of the names of program files, in lower case, with the dot.
+        codes: Mapping of issue codes to :class:`planner.issue_codes.Code`.
+        reader: :class:`planner.programs.language.Reader`: reads programs.
+        writer: :class:`planner.languages.writing.language.Writer`: refuses jobs, and writes programs.
+        proof: :class:`planner.proof.contribution.ProofOfLanguage`: rules about the text.
+        report: :class:`planner.report.contribution.ReportOfLanguage`: rows of the setup sheet.
+    """
+
+    GROUP: ClassVar[str] = "tandem.languages"
+
+    title: str
+    families: tuple[str, ...]
+    endings: tuple[str, ...]
+    reader: Reference
+    writer: Reference
+    codes: Reference | None = None
+    proof: Reference | None = None
+    report: Reference | None = None
+
+
+Plugin = Process | Language
+
+BUILT_IN: Final[Mapping[str, Mapping[str, Reference]]] = {
+    Process.GROUP: {
+        "forming": "planner.processes.forming:PROCESS",
+        "elastic_wire": "planner.processes.hotwire:ELASTIC_WIRE",
+        "straight_wire": "planner.processes.hotwire:STRAIGHT_WIRE",
+        "milling": "planner.processes.milling:PROCESS",
+        "trim": "planner.processes.trim:PROCESS",
+        "targets": "planner.processes.poses:PROCESS",
+    },
+    Language.GROUP: {
+        "rapid": "planner.languages.rapid:LANGUAGE",
+        "krl": "planner.languages.krl:LANGUAGE",
+        "urscript": "planner.languages.urscript:LANGUAGE",
+        "trajectories": "planner.languages.trajectories:LANGUAGE",
+    },
+}
+"""Plug-ins of Tandem: reference by name, by group. Their order is the order of the plug-ins."""
+
+
+class PluginError(Exception):
+    """A plug-in, or a part of it, cannot be used. The message is a clause, such as "cannot be imported"."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """A plug-in as it was found.
+
+    Attributes:
+        plugin: The plug-in, or None if it cannot be used.
+        owner: Who brings it: "Tandem", or the name of a package.
+        fault: Why it cannot be used, a sentence without full stop.
+    """
+
+    plugin: Any
+    owner: str
+    fault: str = ""
+
+
+def load(reference: Reference, kind: type[T]) -> T:
+    """Import the object of a reference.
+
+    Args:
+        reference: Module and object.
+        kind: Type of the object.
+
+    Raises:
+        PluginError: The module cannot be imported, has no such object, or the object is of another type.
+    """
+    module, _, name = reference.partition(":")
+    try:
+        found = getattr(import_module(module), name)
+    except Exception as error:  # code of another package may raise anything
+        raise PluginError(f"cannot be imported ({type(error).__name__}: {error})") from error
+    if not isinstance(found, kind):
+        raise PluginError(f"is {type(found).__name__}, not {kind.__module__}.{kind.__name__}")
+    return found
+
+
+@functools.cache
+def installed(kind: type[Plugin]) -> Mapping[str, Found]:
+    """Find all plug-ins by name: Tandem's, then those of other packages in alphabetical order.
+
+    A plug-in of another package cannot be used if it cannot be imported, or if its name is taken.
+
+    Args:
+        kind: :class:`Process` or :class:`Language`.
+    """
+    found = {name: Found(load(reference, kind), "Tandem") for name, reference in BUILT_IN[kind.GROUP].items()}
+    noun = kind.__name__.lower()
+    for point in sorted(entry_points(group=kind.GROUP), key=lambda one: (one.name, one.value)):
+        owner = f"package {point.dist.name}" if point.dist is not None else point.value
+        if point.name in found:
+            what = f"the {noun} {point.name!r} is claimed by {found[point.name].owner} and by {owner}"
+            hint = "uninstall one of them, or give its entry point another name"
+            found[point.name] = Found(None, found[point.name].owner, f"{what}; {hint}")
+            continue
+        try:
+            found[point.name] = Found(load(point.value.partition("[")[0].strip(), kind), owner)
+        except PluginError as error:
+            what = f"the {noun} {point.name!r} of {owner} {error}"
+            found[point.name] = Found(None, owner, f"{what}; mend or uninstall {owner} ({point.value})")
+    return found
+
+
+def usable(kind: type[T]) -> dict[str, T]:
+    """Return the plug-ins that can be used, by name, in the order of :func:`installed`."""
+    some = installed(kind)  # type: ignore[arg-type]
+    return {name: found.plugin for name, found in some.items() if found.plugin is not None}
+
+
+def is_built_in(kind: type[Plugin], name: str) -> bool:
+    """Return whether a plug-in is one of Tandem's."""
+    return name in BUILT_IN[kind.GROUP]
+
+
+def parts(kind: type[Plugin], member: str, part: type[T], names: frozenset[str] | None = None) -> Iterator[T]:
+    """Load one part of each plug-in that has it.
+
+    Two plug-ins may share a part. It is returned once.
+
+    Args:
+        kind: :class:`Process` or :class:`Language`.
+        member: Name of the part, such as ``"proof"``.
+        part: Type of the part.
+        names: Plug-ins of other packages to include, by name. Tandem's are always included.
+
+    Raises:
+        PluginError: A part cannot be loaded.
+    """
+    seen: set[Reference] = set()
+    for name, plugin in usable(kind).items():
+        reference = getattr(plugin, member)
+        wanted = is_built_in(kind, name) or names is None or name in names
+        if reference is not None and reference not in seen and wanted:
+            seen.add(reference)
+            yield load(reference, part)
