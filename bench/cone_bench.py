@@ -25,6 +25,7 @@ from planner.motion import solve
 from planner.processes import registry
 from planner.proof.clearance.samples import clearance_rows
 from planner.proof.context import Context
+from planner.proof.models import MODELS
 from planner.proof.prove import Prover
 from planner.proof.rules.clearance import MEASURED_REACH
 
@@ -87,14 +88,14 @@ def stages(name: str) -> list[dict[str, Any]]:
     took, most = sum(row["median_s"] for row in rows), max(row["peak_mb"] for row in rows)
     told = f"{targets[0].count} targets, {'proven' if proof.ok else 'NOT proven'}, {most:.0f} MB"
     total = {"name": f"{name}: mesh to programs, one core", "median_s": took, "note": told}
-    return [*rows, total, _against_all(name, prover, Context(problem, claims, programs))]
+    return [*rows, total, _against_all(name, Context(problem, claims, programs))]
 
 
-def _against_all(name: str, prover: Prover, context: Context) -> dict[str, Any]:
+def _against_all(name: str, context: Context) -> dict[str, Any]:
     """Bounds of some looks, with the time of measuring all of them as the peer."""
     rows = clearance_rows(context, 0)
     rows = rows[np.linspace(0, len(rows) - 1, LOOKS).astype(np.int64)]
-    model, q = prover.model(context), {arm: q[rows] for arm, q in context.motion.q.items()}
+    model, q = context.get(MODELS)(0), {arm: q[rows] for arm, q in context.motion.q.items()}
     start = time.process_time()
     clearance.at_least(model, q, MEASURED_REACH)
     middle = time.process_time()

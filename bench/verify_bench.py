@@ -12,10 +12,11 @@ import numpy as np
 
 from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
-from planner.processes.hotwire.proof.wire_motion import follow_wire
+from planner.processes.hotwire.proof.wire_motion import follow_wire, mounted
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
-from planner.proof.prove import RULE_CODES, Prover
+from planner.proof.prove import Prover
+from planner.proof.rule_table import built_in
 from tests.processes.hotwire.proof import straight_job
 from tests.proof import held_job, small_job
 from tests.proof.mutants import MUTATORS
@@ -44,7 +45,7 @@ def run() -> list[dict[str, Any]]:
         Context(problem, claims, programs).motion  # noqa: B018
 
     def wire() -> None:
-        follow_wire(context, context.phases[0])
+        follow_wire(context, *mounted(context)[0])
 
     _ = context.motion
     bows = []
@@ -58,14 +59,16 @@ def run() -> list[dict[str, Any]]:
         *bows,
         _poses(),
         _row(
-            "verify: whole proof", lambda: prover.prove(programs), f"{moves} moves, {len(RULE_CODES)} rules"
+            "verify: whole proof", lambda: prover.prove(programs), f"{moves} moves, {len(built_in())} rules"
         ),
         _row(
             "verify: cold, with the Drake model", lambda: Prover(problem, claims).prove(programs), "3 runs", 3
         ),
         _row("verify: read and replay", replay, f"{len(context.motion.time)} samples of 4 ms, two arms"),
         _row(
-            "verify: follow the wire", wire, f"{len(follow_wire(context, context.phases[0]).sample)} shapes"
+            "verify: follow the wire",
+            wire,
+            f"{len(follow_wire(context, *mounted(context)[0]).sample)} shapes",
         ),
         _row(
             "verify: refuse a wrong time",

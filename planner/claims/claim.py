@@ -17,6 +17,16 @@ from planner.geometry.arrays import FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
+class ToolDistance:
+    """In ``segment`` the distance of the TCPs of ``arms`` may change by ``change`` [m] while one arm is one
+    step ahead of the other."""
+
+    segment: Segment
+    arms: tuple[str, str]
+    change: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Claim:
     """Base class of all claims. A kind of claim is a frozen dataclass that inherits from it.
 
@@ -36,6 +46,26 @@ class Claim:
         if other != cls.__module__:
             raise TypeError(f"{cls.__module__}: {other} already has a claim {cls.__name__}")
         _KINDS[cls.__name__] = cls
+
+    @property
+    def tool_distance(self) -> ToolDistance | None:
+        """How much the distance of two tools may change while their arms are one step apart."""
+        return None
+
+    @property
+    def longest_stop(self) -> tuple[Segment, float] | None:
+        """A segment in which the tool may stand with its power on, and how long [s]."""
+        return None
+
+    @property
+    def heated_length(self) -> float:
+        """Length [m] of the wire that the claim is about, or 0."""
+        return 0.0
+
+    @property
+    def joined_arms(self) -> tuple[str, ...]:
+        """Names of the arms that are joined to one another, for example by a wire."""
+        return ()
 
 
 _KINDS: Final[dict[str, type[Claim]]] = {}

@@ -10,6 +10,7 @@ import itertools
 import re
 from collections.abc import Collection, Mapping
 from functools import cached_property
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -18,12 +19,11 @@ from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
 from planner.languages.rapid.reader.syntax_tree import Data, Literal, build
 from planner.problem import END, Arm, Problem, Setup, Stock, setups_of
-from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, WireJoins
-from planner.processes.hotwire.proof.mounting import Phase
 from planner.programs import job as job_text
 from planner.programs.stages import JobText, Stage, TaskText
 from planner.programs.steps import BASE_FRAME, MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
 from planner.proof import setups
+from planner.proof.facts import Fact, Facts
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.external_axes import outer_axes, slid
 from planner.proof.replay import bending
@@ -31,16 +31,29 @@ from planner.proof.replay.bending import Bent
 from planner.proof.replay.motion import Motion
 from planner.proof.replay.moves import Riding
 from planner.proof.replay.playback import replay
-from planner.proof.setups import SetupClaims, Spans
+from planner.proof.setups import Phase, SetupClaims, Spans
+from planner.runtime.executor import SERIAL, Executor
+
+C = TypeVar("C", bound=Claim)
+T = TypeVar("T")
+Claims = Mapping[str, tuple[Claim, ...]]
+MAX_SENT_SAMPLES: Final = 500_000
+"""Largest number of samples of a motion that is sent to another process [-]: 100 MB for two arms. For longer
+motions, as forming jobs of an hour have, the copy needs more memory than the parallel work saves time."""
 
 
 class Context:
-    """One proof. Everything is worked out once, when first asked for."""
+    """One proof. Everything is worked out once, when first asked for.
+
+    Attributes:
+        executor: Runs independent work.
+        kept: What is kept between proofs of the same claims, by name.
+    """
 
     def __init__(
         self,
         problem: Problem,
-        claims: Mapping[str, tuple[Claim, ...]],
+        claims: Claims,
         programs: Mapping[str, str],
         unread: tuple[Issue, ...] = (),
         untold: tuple[Issue, ...] = (),
@@ -51,42 +64,78 @@ class Context:
         self.unread = unread
         self.untold = untold
         self.claims: tuple[Claim, ...] = tuple(claim for group in claims.values() for claim in group)
+        self.executor: Executor = SERIAL
+        self.kept: dict[str, Any] = {}
+        self._facts: Facts[Context] = Facts()
 
     def __getstate__(self) -> dict[str, object]:
-        """For another process, in which claims have other identities."""
-        return {name: value for name, value in vars(self).items() if name != "_setup_of"}
+        """For another process, which starts no process itself, and in which claims have other identities."""
+        return {name: value for name, value in vars(self).items() if name != "_setup_of"} | {
+            "executor": SERIAL,
+            "kept": {},
+        }
+
+    def replaced(self, problem: Problem | None = None, claims: Claims | None = None) -> Context:
+        """Return the context of the same programs for another problem or other claims.
+
+        The text is not read again. Lasting facts go along.
+        """
+        out = Context(
+            problem or self.problem,
+            self.by_operation if claims is None else claims,
+            self.programs,
+            self.unread,
+            self.untold,
+        )
+        out.executor, out.kept = self.executor, self.kept
+        out._facts = self._facts.lasting()
+        if "job" in vars(self):
+            vars(out)["job"] = self.job
+        return out
+
+    # ---- facts ----
+
+    def get(self, fact: Fact[Context, T]) -> T:
+        """Return a fact. Build it if this is its first use."""
+        return self._facts.get(fact, self)
+
+    def put(self, fact: Fact[Context, T], value: T) -> None:
+        """State a fact that was built elsewhere."""
+        self._facts.put(fact, value)
+
+    def has(self, fact: Fact[Context, Any]) -> bool:
+        """Return whether a fact has been built."""
+        return fact in self._facts
+
+    def release(self, fact: Fact[Context, Any]) -> None:
+        """Drop a fact, so that its memory becomes free."""
+        self._facts.release(fact)
+
+    @property
+    def long(self) -> bool:
+        """Whether the motion is so long that it is not sent to another process."""
+        return len(self.motion.time) > MAX_SENT_SAMPLES
+
+    @property
+    def motion_executor(self) -> Executor:
+        """Runs work whose arguments have the size of the motion."""
+        return SERIAL if self.long else self.executor
 
     # ---- claims ----
 
-    @property
-    def wires(self) -> tuple[WireJoins, ...]:
-        """Claims about mounted wires, one for each operation that has one."""
-        return tuple(claim for claim in self.claims if isinstance(claim, WireJoins))
-
-    @property
-    def surfaces(self) -> tuple[CutsSurface, ...]:
-        """Faces that are to be cut."""
-        return tuple(claim for claim in self.claims if isinstance(claim, CutsSurface))
+    def of(self, kind: type[C]) -> tuple[C, ...]:
+        """Return the claims of one kind."""
+        return tuple(claim for claim in self.claims if isinstance(claim, kind))
 
     @property
     def contacts(self) -> tuple[ContactOnlyIn, ...]:
         """Where the edge may touch the stock."""
-        return tuple(claim for claim in self.claims if isinstance(claim, ContactOnlyIn))
+        return self.of(ContactOnlyIn)
 
     @property
     def feeds(self) -> tuple[FeedWindow, ...]:
         """Feed windows by segment."""
-        return tuple(claim for claim in self.claims if isinstance(claim, FeedWindow))
-
-    @property
-    def rulings(self) -> tuple[FollowsRulings, ...]:
-        """Rulings that a straight wire must run along."""
-        return tuple(claim for claim in self.claims if isinstance(claim, FollowsRulings))
-
-    @property
-    def kerfs(self) -> tuple[KerfWithin, ...]:
-        """Bounds of the slot's width."""
-        return tuple(claim for claim in self.claims if isinstance(claim, KerfWithin))
+        return self.of(FeedWindow)
 
     # ---- text ----
 
@@ -429,7 +478,7 @@ class Context:
 
     @cached_property
     def phases(self) -> tuple[Phase, ...]:
-        """When a wire is mounted: one run of synchronised stages for each claim of a wire, in order."""
+        """When arms are joined: one run of synchronised stages for each claim that joins them, in order."""
         return tuple(
             Phase(self._edge(run[0], -1), self._edge(run[-1], 1), claim, index)
             for index, setup in enumerate(self.setup_claims)

@@ -33,7 +33,6 @@ from planner.issues import Issue
 from planner.languages.krl import sentences as krl_sentences
 from planner.languages.urscript import sentences as urscript_sentences
 from planner.problem import Setup
-from planner.processes.hotwire.claims import WireJoins
 from planner.programs.dialogue_text import fit, sentence_text
 from planner.programs.stages import JobText, TaskText
 from planner.programs.steps import MessageStep, MoveStep, RobTarget, SignalStep, Step, WaitStep
@@ -260,7 +259,7 @@ def wanted_dialogue(context: Context) -> dict[str, list[Part]]:
 def joined(context: Context) -> bool:
     """Whether the arms are joined in some operation."""
     return any(
-        isinstance(claim, WireJoins) or (isinstance(claim, OperatorDialogue) and claim.joined)
+        bool(claim.joined_arms) or (isinstance(claim, OperatorDialogue) and claim.joined)
         for claim in context.claims
     )
 
@@ -355,8 +354,8 @@ def chosen_groups(context: Context) -> Context:
             else:
                 own.append(claim)
         claims[name] = tuple(own)
-    out = Context(context.problem, claims, context.programs, context.unread, tuple(untold))
-    out.__dict__["job"] = context.job  # it follows from the text alone
+    out = context.replaced(claims=claims)
+    out.untold = tuple(untold)
     return out
 
 

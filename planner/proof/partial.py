@@ -25,6 +25,7 @@ from planner.proof.clearance.samples import least_distances
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model, inverse_kinematics
 from planner.proof.kinematics.inverse_kinematics import singularity_distance
+from planner.proof.models import Standing, cell_models
 from planner.proof.prove import Prover
 from planner.proof.replay.motion import Motion
 from planner.proof.replay.moves import chosen, flange_at
@@ -334,7 +335,7 @@ def _clearance(
     joints[arm] = q[rows]
     wanted = wanted_of(problem.settings, itself)
     limit, reach_ = accepted(wanted), max(MEASURED_REACH, 1.5 * wanted)
-    model = prover.model(context)
+    model = cell_models(problem, Standing.of(context), prover.kept)(0)
     cut = {f"{arm}/edge", "stock"}  # what the tool's edge does to the block is the process's own
     ignore = frozenset({frozenset(cut)}) if cut <= {solid.body for solid in model.solids} else frozenset()
     found = least_distances(model, joints, limit, reach_, ignore | aside(model, itself))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Generic, ParamSpec, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from planner.issues import Issue
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep, Step
+from planner.proof.context import Context
 from planner.proof.replay.motion import Motion
+from planner.proof.rule_order import Stage
+from planner.proof.verdict import CutFace
 
 FEED_SLACK = 1.05
 """The replay's ramps and corners may pass feeds by this factor."""
@@ -17,8 +20,20 @@ FEED_SLACK = 1.05
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What a rule found. ``worst`` and ``limit`` in ``unit``, as a person reads them. ``nothing``: why the
-    programs have nothing that the rule asks about, empty where they have."""
+    """What a rule found.
+
+    Attributes:
+        issues: What is wrong.
+        worst: The worst value, in ``unit``, or None if the rule only says yes or no.
+        limit: What is allowed, in ``unit``.
+        unit: Unit in which a person reads both.
+        where: Where the worst value is.
+        nothing: Why the programs have nothing that the rule examines. Empty if they have.
+        faces: Simulated faces.
+        part: Simulated part, as the text of an OBJ file.
+        series: Curves for the report, by name.
+        context: Context for the rules that follow, if it changes.
+    """
 
     issues: tuple[Issue, ...] = ()
     worst: float | None = None
@@ -26,35 +41,47 @@ class Outcome:
     unit: str = ""
     where: str = ""
     nothing: str = ""
+    faces: tuple[CutFace, ...] = ()
+    part: str = ""
+    series: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    context: Context | None = None
 
 
-P = ParamSpec("P")
-R_co = TypeVar("R_co", covariant=True)
+Examine = Callable[[Context], Outcome]
+"""The function of a rule."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Rule(Generic[P, R_co]):
-    """A rule of the proof: the code of its issues, the kinds of claims that it proves, and the function
-    that looks. What it asks is the first paragraph of its docstring; what to do where it is broken
-    stands with its code in ``issue_codes.py``, what it needs in ``prove.py``, by its table."""
+class Rule:
+    """A rule of the proof.
+
+    Attributes:
+        code: Code of its issues. What to do if the rule is broken is stated there.
+        proves: Kinds of claims that it proves.
+        examine: The function. The first paragraph of its docstring is the title of the rule.
+        stage: Stage of a rule of an installed package. Tandem's rules are in :mod:`planner.proof.rule_order`.
+        ahead: Group of rules that another process may examine (:class:`planner.proof.contribution.Ahead`).
+    """
 
     code: str
     proves: tuple[type, ...]
-    look: Callable[P, R_co]
+    examine: Examine
+    stage: Stage = "motion"
+    ahead: str = ""
 
     @property
     def title(self) -> str:
-        """What the rule asks, in a sentence."""
-        return " ".join((self.look.__doc__ or self.code).split("\n\n")[0].split()).rstrip(".")
+        """What the rule requires, in a sentence."""
+        return " ".join((self.examine.__doc__ or self.code).split("\n\n")[0].split()).rstrip(".")
 
-    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R_co:
-        """What the rule finds."""
-        return self.look(*args, **kwargs)
+    def __call__(self, context: Context) -> Outcome:
+        """Examine the programs of a context."""
+        return self.examine(context)
 
 
-def rule(code: str, *proves: type) -> Callable[[Callable[P, R_co]], Rule[P, R_co]]:
-    """Makes a function a rule of that code, which proves claims of those kinds."""
-    return lambda look: Rule(code, proves, look)
+def rule(code: str, *proves: type, stage: Stage = "motion", ahead: str = "") -> Callable[[Examine], Rule]:
+    """Make a function a rule. For the arguments see :class:`Rule`."""
+    return lambda examine: Rule(code, proves, examine, stage, ahead)
 
 
 def mm(value: float) -> float:

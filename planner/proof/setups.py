@@ -7,19 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow, HoldsStock
-from planner.claims.segments import Segment
+from planner.claims.claim import Claim, ContactOnlyIn, HoldsStock
 from planner.geometry.arrays import IntArray
 from planner.problem import Problem, Setup
-from planner.processes.forming.claims import SheetState
-from planner.processes.hotwire.claims import StraightWire, WireJoins
-from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
-from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.programs.stages import JobText, TaskText
 from planner.programs.steps import MessageStep, MoveStep, letters
-
-MILL = "mill"
-"""The kind of segments in which a cutter mills."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,25 +82,26 @@ def one_line(text: str) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
+class Phase:
+    """Two arms are joined from stage ``first`` to stage ``last`` of a setup, according to ``claim``. In the
+    first and the last of them the operator joins them and takes them apart."""
+
+    first: int
+    last: int
+    claim: Claim
+    setup: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
 class SetupClaims:
     """The claims of a setup's operations, one group each."""
 
     groups: tuple[tuple[Claim, ...], ...]
 
     @property
-    def joined(self) -> tuple[WireJoins, ...]:
-        """Wires that join two arms."""
-        return tuple(c for group in self.groups for c in group if isinstance(c, WireJoins))
-
-    @property
-    def straight(self) -> dict[str, tuple[StraightWire, ...]]:
-        """Claims about straight wires by arm."""
-        out: dict[str, tuple[StraightWire, ...]] = {}
-        for group in self.groups:
-            for claim in group:
-                if isinstance(claim, StraightWire):
-                    out[claim.arm] = (*out.get(claim.arm, ()), claim)
-        return out
+    def joined(self) -> tuple[Claim, ...]:
+        """Claims that join two arms."""
+        return tuple(c for group in self.groups for c in group if c.joined_arms)
 
     @property
     def stock_holders(self) -> tuple[HoldsStock, ...]:
@@ -119,55 +112,6 @@ class SetupClaims:
     def contacts(self) -> tuple[ContactOnlyIn, ...]:
         """Where edges may touch the block."""
         return tuple(c for group in self.groups for c in group if isinstance(c, ContactOnlyIn))
-
-    def forms(self, arm: str) -> frozenset[str]:
-        """Segments in which the head of the tool of ``arm`` may touch the sheet: those that state what it
-        then meets, with their ways in and out."""
-        claims = [claim for group in self.groups for claim in group if isinstance(claim, SheetState)]
-        own = [claim.segment for claim in claims if arm in claim.arms]
-        return frozenset(way.key for segment in own for way in segment.ways)
-
-    def mills(self, arm: str) -> frozenset[str]:
-        """Segments in which the cutter on ``arm`` may be in the block: those that state a feed and what they
-        mill, or at least what they spare, by an operation whose cutter may touch the block there."""
-        out: set[str] = set()
-        for group in self.groups:
-            kinds = {kind for c in group if isinstance(c, ContactOnlyIn) for kind in c.kinds}
-            if MILL not in kinds:
-                continue
-            own: set[Segment] = set()
-            for claim in group:
-                if isinstance(claim, MillsSurface | MillsFlank | MillsOver | SparesPart) and claim.arm == arm:
-                    own |= set(claim.segments)
-                elif isinstance(claim, MillsAlong) and claim.arm == arm:
-                    own.add(claim.segment)
-            fed = {c.segment.key for c in group if isinstance(c, FeedWindow)}
-            out |= {way.key for segment in own for way in segment.ways} & fed
-        return frozenset(out)
-
-    def works(self, arm: str) -> bool:
-        """Whether the tool of ``arm`` forms, mills or trims in some segment."""
-        return bool(self.forms(arm) or self.mills(arm) or self.trims(arm))
-
-    def trims(self, arm: str) -> frozenset[str]:
-        """Segments in which what trims on ``arm`` may be near to the sheet: its slots, with their ways in and
-        out."""
-        claims = [c for group in self.groups for c in group if isinstance(c, TrimsSheet) and c.arm == arm]
-        names = [name for claim in claims for one in claim.outlines for name in slot_names(claim, one)]
-        return frozenset(way.key for name in names for way in Segment("trim", name).ways)
-
-    def cuts(self, arms: tuple[str, ...]) -> frozenset[str]:
-        """Segments in which the wire of ``arms`` may be in the foam: claimed, with a feed, by an operation
-        that has this wire and allows contact in segments of that kind."""
-        out: set[str] = set()
-        for group in self.groups:
-            hands: set[tuple[str, ...]] = {c.arms for c in group if isinstance(c, WireJoins)}
-            hands |= {(c.arm,) for c in group if isinstance(c, StraightWire)}
-            kinds = {kind for c in group if isinstance(c, ContactOnlyIn) for kind in c.kinds}
-            if arms in hands:
-                fed = (c.segment for c in group if isinstance(c, FeedWindow))
-                out |= {segment.key for segment in fed if segment.kind in kinds}
-        return frozenset(out)
 
 
 def claims_of(

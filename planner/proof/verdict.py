@@ -13,20 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from planner.cell.clearance import LeastClearance
 from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray, IntArray, lengths
+from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, has_errors
 from planner.languages.krl.reader.parser import without_comments
 from planner.languages.rapid.reader.same_text import text_lines, text_words
 from planner.languages.urscript.reader.words import without_comments as without_hash_comments
-from planner.processes.forming.proof.state import Forming
-from planner.processes.hotwire.proof.rules.wire import feed_speed
-from planner.processes.hotwire.proof.wire_motion import Wire
-from planner.proof.context import Context
-from planner.proof.kinematics import arm_model
-from planner.proof.kinematics.inverse_kinematics import singularity_distance
-from planner.proof.replay.motion import differences
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,99 +110,6 @@ class Proof:
             if rule.code == code:
                 return rule
         raise KeyError(code)
-
-
-_SAMPLES_AT_ONCE = 65_536
-"""Samples of a long motion that are worked on at once."""
-_MOST_CURVE_POINTS = 6000
-"""Points of a curve in a proof at most."""
-
-
-def series(
-    context: Context,
-    wires: tuple[Wire, ...],
-    forming: Forming | None,
-    distances: Mapping[str, tuple[IntArray, LeastClearance | None]],
-    wire_clearance: list[FloatArray],
-) -> dict[str, Any]:
-    """Names and units as they are: SI, per arm ``joints/<arm>`` (S, 6), ``speed/<arm>``,
-    ``acceleration/<arm>``, ``tcp_speed/<arm>``, ``singular/<arm>`` (S,) [rad] off singular postures.
-
-    The motion is thinned to a few thousand samples, extremes of speeds and accelerations kept within each.
-    ``clearance/...`` over the looks of the clearance rule, ``own_clearance/...`` over those of the rule on
-    arms and themselves, as ``distances`` has both; ``wire/<n>/...`` over the stations of each wire; straight
-    ones have no stability, curvature and clearance of their own. ``gap/<n>/...`` over what two tools
-    form: what they leave between them and what is wanted.
-    """
-    motion = context.motion
-    stride = max(1, len(motion.time) // _MOST_CURVE_POINTS)
-    rows = np.arange(0, len(motion.time), stride)
-    out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels(rows)}
-    for arm, q in motion.q.items():
-        out[f"joints/{arm}"] = q[rows]
-        # one axis at a time: a long motion has so many samples that a copy of all is felt
-        for name, order in (("speed", 1), ("acceleration", 2)):
-            axes = [
-                _peaks(differences(motion.time, q[:, axis, None], order), rows) for axis in range(q.shape[1])
-            ]
-            out[f"{name}/{arm}"] = np.concatenate(axes, axis=1)
-        place, way = motion.tcp[arm].place, np.zeros(len(motion.time))
-        for begin in range(1, len(way), _SAMPLES_AT_ONCE):
-            end = min(begin + _SAMPLES_AT_ONCE, len(way))
-            step, spent = (np.diff(values[begin - 1 : end], axis=0) for values in (place, motion.time))
-            way[begin:end] = lengths(step) / np.maximum(spent, 1e-6)
-        out[f"tcp_speed/{arm}"] = _peaks(way[:, None], rows)[:, 0]
-    for task in context.job.tasks:
-        arm = task.arm.name
-        q, machine = motion.q[arm], arm_model.machine_of(task.arm.data)
-        parts = np.array_split(q, len(q) // _SAMPLES_AT_ONCE + 1)
-        near = np.concatenate([singularity_distance(machine, part) for part in parts])
-        out[f"singular/{arm}"] = np.minimum.reduceat(near, rows)
-    out["targets/time"] = motion.time[motion.node_sample]
-    out["targets/label"] = motion.node_label
-    for name, (looks, found) in distances.items():
-        if found is not None:
-            out[f"{name}/time"] = motion.time[looks]
-            out[f"{name}/distance"] = found.distance
-            out[f"{name}/pair"] = np.array([" - ".join(pair) for pair in found.pair])
-    for n, wire in enumerate(wires, 1):
-        if wire.fault:
-            continue
-        out |= {
-            f"wire/{n}/time": motion.time[wire.sample],
-            f"wire/{n}/label": wire.labels,
-            f"wire/{n}/points": wire.points,
-            f"wire/{n}/depth": wire.depth,
-            f"wire/{n}/feed": feed_speed(context, wire),
-        }
-        if wire.path is None:
-            continue
-        out |= {
-            f"wire/{n}/stability": wire.path.min_eig,
-            f"wire/{n}/curvature": np.linalg.norm(wire.path.curvature, axis=2).max(axis=1),
-        }
-        if len(wire_clearance) >= n:
-            out[f"wire/{n}/clearance"] = wire_clearance[n - 1]
-    for n, gap in enumerate(forming.opened if forming is not None else (), 1):
-        some = np.unique(np.linspace(0, max(len(gap.knots) - 1, 0), _MOST_CURVE_POINTS).astype(np.int64))[
-            : len(gap.knots)
-        ]
-        out |= {
-            f"gap/{n}/time": motion.time[gap.track.rows[gap.knots[some]]],
-            f"gap/{n}/got": gap.got[some],
-            f"gap/{n}/low": gap.low[some] - gap.claim.tolerance,
-            f"gap/{n}/high": gap.high[some] + gap.claim.tolerance,
-        }
-    return out
-
-
-def _peaks(values: FloatArray, rows: IntArray) -> FloatArray:
-    """Value of largest size within each stretch between rows."""
-    if len(rows) == len(values):
-        return values
-    high = np.maximum.reduceat(values, rows, axis=0)
-    low = np.minimum.reduceat(values, rows, axis=0)
-    return np.asarray(np.where(high > -low, high, low))
 
 
 SHOWN_RESULTS: dict[str, str] = {

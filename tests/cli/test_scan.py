@@ -23,7 +23,6 @@ from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.processes import registry
 from planner.processes.forming.proof.rules import springback
-from planner.processes.forming.proof.state import Forming
 from planner.proof.context import Context
 from planner.shopfloor.scan import cloud
 from tests import small_forming
@@ -145,7 +144,7 @@ def beside(context: Context) -> Iterator[tuple[Path, Path]]:
 
 
 def messages(context: Context) -> list[str]:
-    return [issue.message for issue in springback.springback(context, Forming(context)).issues]
+    return [issue.message for issue in springback.springback(context).issues]
 
 
 def moved(x: float, z: float) -> Callable[[dict[str, Any]], None]:

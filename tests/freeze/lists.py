@@ -21,9 +21,9 @@ STARTS: Final = {
 
 def rule_codes() -> list[str]:
     """Return the codes of the proof rules in the order in which they run."""
-    from planner.proof.prove import RULE_CODES
+    from planner.proof.rule_table import built_in
 
-    return list(RULE_CODES)
+    return list(built_in())
 
 
 def write_rule_codes() -> None:

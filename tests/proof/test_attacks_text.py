@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planner.processes.hotwire.proof.rules.wire import stop_in_foam
-from planner.processes.hotwire.proof.wire_motion import wires
+from planner.processes.hotwire.proof.wire_motion import WIRES
 from planner.proof.context import Context
 from tests.languages.rapid.rapid_edits import edit, name
 from tests.processes.hotwire.proof import straight_job
@@ -211,9 +211,10 @@ def test_what_is_not_modelled_is_refused(code):
 def test_a_hot_wire_does_not_stand_beside_the_foam(gap, count):
     """Half a millimetre off the block it melts it as well as inside."""
     context = Context(straight_job.problem(), straight_job.claims(), straight_job.programs(COUNT))
-    wire = wires(context)[0]
+    wire = context.get(WIRES)[0]
     stop = np.isin(wire.sample, context.motion.node_sample[context.motion.node_stop])
     depth = np.full(len(stop), -0.1)
     depth[np.flatnonzero(stop)[2]] = -gap
     near = dataclasses.replace(wire, depth=depth)
-    assert len(stop_in_foam(context, (near,)).issues) == count
+    context.put(WIRES, (near,))
+    assert len(stop_in_foam(context).issues) == count

@@ -8,4 +8,5 @@ PROCESS: Final = Process(
     schema="planner.processes.forming.plan.operation:Forming",
     job="planner.processes.forming.plan.job:FormingJob",
     claims="planner.processes.forming.claims:CLAIMS",
+    proof="planner.processes.forming.proof.contribution:PROOF",
 )

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.claim import Claim
+from planner.claims.claim import Claim, ToolDistance
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 
@@ -58,6 +58,11 @@ class ToolGap(Claim):
     tolerance: float
     turn: float = np.deg2rad(1.0)
     handshake: float = 1e-3
+
+    @property
+    def tool_distance(self) -> ToolDistance:
+        """By how much the gap may change."""
+        return ToolDistance(self.segment, self.arms, self.handshake)
 
 
 @dataclasses.dataclass(frozen=True)

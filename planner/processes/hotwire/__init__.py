@@ -8,9 +8,11 @@ ELASTIC_WIRE: Final = Process(
     schema="planner.processes.hotwire.plan.operation:ElasticWire",
     job="planner.processes.hotwire.plan.elastic.job:ElasticJob",
     claims="planner.processes.hotwire.claims:CLAIMS",
+    proof="planner.processes.hotwire.proof.contribution:PROOF",
 )
 STRAIGHT_WIRE: Final = Process(
     schema="planner.processes.hotwire.plan.operation:Straight",
     job="planner.processes.hotwire.plan.straight.job:StraightJob",
     claims="planner.processes.hotwire.claims:CLAIMS",
+    proof="planner.processes.hotwire.proof.contribution:PROOF",
 )

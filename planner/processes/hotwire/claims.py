@@ -32,6 +32,16 @@ class WireJoins(Claim):
     thickness: float
     end_error: float
 
+    @property
+    def joined_arms(self) -> tuple[str, ...]:
+        """The arms that hold the wire."""
+        return self.arms
+
+    @property
+    def heated_length(self) -> float:
+        """The length of the bent wire."""
+        return self.length
+
 
 @dataclasses.dataclass(frozen=True)
 class StraightWire(Claim):
@@ -46,6 +56,11 @@ class StraightWire(Claim):
     end: FloatArray
     radius: float
     margin: float
+
+    @property
+    def heated_length(self) -> float:
+        """The length of the straight wire."""
+        return float(np.linalg.norm(self.end - self.start))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,4 +8,5 @@ PROCESS: Final = Process(
     schema="planner.processes.milling.plan.operation:Milling",
     job="planner.processes.milling.plan.job:MillingJob",
     claims="planner.processes.milling.claims:CLAIMS",
+    proof="planner.processes.milling.proof.contribution:PROOF",
 )

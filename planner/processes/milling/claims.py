@@ -12,6 +12,9 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.tooling import Cutter
 
+MILL: Final = "mill"
+"""The kind of segments in which a cutter mills."""
+
 
 @dataclasses.dataclass(frozen=True)
 class MillsSurface(Claim):
@@ -58,6 +61,11 @@ class MillsAlong(Claim):
     line: IntArray | None = None
     dwell: float = 0.0
     back: MillsAlong | None = None
+
+    @property
+    def longest_stop(self) -> tuple[Segment, float] | None:
+        """The dwell of a G-code file."""
+        return (self.segment, self.dwell) if self.dwell > 0.0 else None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,4 +8,5 @@ PROCESS: Final = Process(
     schema="planner.processes.poses.plan.job:Posed",
     job="planner.processes.poses.plan.job:PosedJob",
     claims="planner.processes.poses.claims:CLAIMS",
+    proof="planner.processes.poses.proof.contribution:PROOF",
 )

@@ -8,4 +8,5 @@ PROCESS: Final = Process(
     schema="planner.processes.trim.plan.operation:Trim",
     job="planner.processes.trim.plan.job:TrimJob",
     claims="planner.processes.trim.claims:CLAIMS",
+    proof="planner.processes.trim.proof.contribution:PROOF",
 )

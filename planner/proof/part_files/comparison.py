@@ -9,10 +9,8 @@ proof has read itself, it is then told how far each place is off the simulated p
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
-from collections.abc import Iterator
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,11 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import closest_on_triangles
-from planner.processes.hotwire.claims import CutsSurface
-from planner.processes.hotwire.proof.cut_surface import Sweep
-from planner.processes.milling.claims import MillsSurface
-from planner.proof.context import Context
 from planner.proof.part_files import Samples, on_triangles
+from planner.proof.part_files.made import Made
 
 _SAME_MOMENT_FACTOR: Final = 1.3
 """Moments of inertia whose square roots differ by less than this factor may be the same."""
@@ -306,60 +301,15 @@ def _rotation(turn: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 
-ALL_RULED: Final = "*"
-"""In place of names: all surfaces of the part that are ruled."""
 OUTLINES: Final = frozenset({"outline", "hole"})
 """What outlines of a plate are called, before the letters that tell them apart."""
 ON_FACE: Final = 1e-4
 """Distance [m] up to which a claimed face is the face that is read from the part file."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Made:
-    """A surface of the part that an operation makes: its ``name``, the ``segment`` in which, ``tolerance``
-    [m] and ``share`` as the operation states them, the claim, and for a wire its sweep."""
-
-    name: str
-    segment: str
-    tolerance: float
-    share: float
-    claim: CutsSurface | MillsSurface
-    sweep: Sweep | None = None
-    index: int = 0
-    margin: float = 0.0
-
-
-def wanted_surfaces(context: Context) -> Iterator[tuple[str, str, float, float, float]]:
-    """Name (or `ALL_RULED`), kind of segment, tolerance [m], share, and margin [m] left out along its edge,
-    of each surface of the part that the operations are to make, from the operations alone."""
-    for one in context.problem.operations:
-        operation: Any = one
-        if operation.process == "elastic_wire":
-            for name in operation.faces:
-                yield name, "cut", operation.shape_tol_mm / 1000.0, operation.share, 0.0
-        elif operation.process == "straight_wire":
-            for name in _straight_cuts(operation):
-                yield name, "cut", operation.shape_tol_mm / 1000.0, operation.share, 0.0
-        elif operation.process == "milling":
-            for cut in operation.cuts:
-                tolerance = (getattr(cut, "shape_tol_mm", None) or operation.shape_tol_mm) / 1000.0
-                if hasattr(cut, "flank") and cut.guides == "surface":
-                    yield cut.flank, "mill", tolerance, operation.share, 0.0
-                elif hasattr(cut, "lines"):
-                    margin = cut.margin_mm / 1000.0
-                    yield f"{cut.lines}_lines", "mill", tolerance, operation.share, margin
-
-
-def _straight_cuts(operation: Any) -> tuple[str, ...]:
-    """Names of the surfaces that a straight wire cuts."""
-    if operation.cuts == "all":
-        return (ALL_RULED,)
-    return tuple(cut.surface for cut in operation.cuts if hasattr(cut, "surface"))
-
-
 def of_claim(one: Made, count: int) -> Samples:
     """Places of the claimed surface, by which a part is looked for in the block."""
-    corners = one.claim.vertices[one.claim.faces]
+    corners = one.vertices[one.faces]
     return on_triangles(corners, np.arange(len(corners)) + 1, count)
 
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
 from planner.issues import Issue, TandemError
-from planner.problem import Settings
-from planner.processes.forming.claims import ToolGap
+from planner.problem import Problem, Settings
 from planner.proof.clearance.samples import (
     DISTANCE_PRECISION,
     LEAST_STRIDE,
@@ -34,9 +33,10 @@ from planner.proof.clearance.samples import (
     travel,
 )
 from planner.proof.context import Context
+from planner.proof.contribution import edges, segments_of
+from planner.proof.facts import Fact
+from planner.proof.models import MODELS, Models, Standing, cell_models
 from planner.proof.rule import Outcome, at_sample, mm, rule
-
-Models = Callable[[int], CellModel]
 
 BETWEEN_TARGETS = 1e-3
 """How much less than the wanted clearance is accepted between targets [m], a tenth of it at most."""
@@ -74,10 +74,6 @@ class Looks:
     def __reduce__(self) -> tuple[type[Looks], tuple[Any, ...]]:
         """Another process gets no more than the samples that are looked at."""
         return Looks, (self.index, self.rows, self.ignore, self.q, self.itself, self.bases, True)
-
-
-Begun = tuple[Sequence[Looks], Iterator[Measured | None]]
-"""Looks, and what is measured there, which has been begun."""
 
 
 def looks(context: Context) -> tuple[Looks, ...]:
@@ -132,50 +128,63 @@ def _missing(model: CellModel, ignore: Pairs) -> list[str]:
     return sorted({name for pair in ignore for name in pair} - {s.body for s in model.solids})
 
 
-@rule("verify.clearance")
-def bodies(
-    context: Context, models: Models, begun: Begun | None = None
-) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
-    """Robots, tools, block and obstacles keep apart; a bow's wire passes the block where it cuts. Bodies that
-    stand are not inside of one another: the block and what bears it, bases, obstacles.
+Looked = tuple[Sequence[Looks], Iterator[Measured | None]]
+"""Looks, and what is measured there, to be taken once."""
 
-    ``begun``: the looks, and what is measured there where that has been begun.
-    """
-    issues: list[Issue] = []
+
+def _looked(context: Context) -> Looked:
+    some = looks(context)
+    return some, measured(context.get(MODELS), some, context.problem.settings)
+
+
+LOOKS: Final[Fact[Context, Looked]] = Fact("looks", _looked)
+"""The looks of both rules, ``verify.clearance`` first."""
+
+
+def _measured_there(problem: Problem, standing: Standing, some: Sequence[Looks]) -> Iterator[Measured | None]:
+    yield from measured(cell_models(problem, standing), some, problem.settings)
+
+
+def begin_looks(context: Context) -> Looked:
+    """Begin to measure in another process, which gets only the samples of the looks and not the motion."""
+    some = looks(context)
+    submitted = context.executor.submit(_measured_there, context.problem, Standing.of(context), some)
+    return some, submitted
+
+
+@rule("verify.clearance", ahead="bodies")
+def bodies(context: Context) -> Outcome:
+    """Robots, tools, block and obstacles keep apart; a bow's wire passes the block where it cuts. Bodies that
+    stand are not inside of one another: the block and what bears it, bases, obstacles."""
+    models, issues = context.get(MODELS), list[Issue]()
     for index in range(len(context.setups)):
         for one, other, deep in clearance.overlaps(models(index)):
             what = f"{one} and {other}, which stand still, are {mm(deep):.1f} mm inside of one another"
             issues.append(Issue("verify.clearance", what, bodies=(one, other), value=-mm(deep), unit="mm"))
-    return _kept("verify.clearance", context, models, begun, issues)
+    return _kept("verify.clearance", context, issues)
 
 
-@rule("verify.own_clearance")
-def own_bodies(
-    context: Context, models: Models, begun: Begun | None = None
-) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
+@rule("verify.own_clearance", ahead="bodies")
+def own_bodies(context: Context) -> Outcome:
     """Base, links and tool of each arm keep the clearance that the problem wants of an arm to itself.
 
-    ``begun``: as in :func:`bodies`, which has to have been asked before.
+    Runs after :func:`bodies`, whose looks come first.
     """
-    return _kept("verify.own_clearance", context, models, begun, [])
+    return _kept("verify.own_clearance", context, [])
 
 
-def _kept(
-    code: str, context: Context, models: Models, begun: Begun | None, issues: list[Issue]
-) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
+def _kept(code: str, context: Context, issues: list[Issue]) -> Outcome:
     """What the looks of one of both rules find, behind what is wrong already."""
-    itself = code == "verify.own_clearance"
-    settings = context.problem.settings
-    wanted = wanted_of(settings, itself)
+    itself, models = code == "verify.own_clearance", context.get(MODELS)
+    wanted = wanted_of(context.problem.settings, itself)
     limit = accepted(wanted)
     looked: list[IntArray] = []
     distance: list[FloatArray] = []
     pairs: list[tuple[str, str]] = []
     rest = np.inf
-    every = looks(context) if begun is None else begun[0]
+    every, begun = context.get(LOOKS)
     some = [look for look in every if look.itself == itself]
-    found = measured(models, some, settings) if begun is None else itertools.islice(begun[1], len(some))
-    for look, there in zip(some, found, strict=True):
+    for look, there in zip(some, itertools.islice(begun, len(some)), strict=True):
         if there is None:
             what = f"the cell's model has no body {_missing(models(look.index), look.ignore)[0]}"
             issues.append(Issue(code, what, hint="state the edge of the bow's tool"))
@@ -198,28 +207,38 @@ def _kept(
         arm = _arm_of(context, pair)
         issues.append(at_sample(code, message, context.motion, arm, int(rows[i]), measure, pair))
     if not len(rows):
-        return Outcome(tuple(issues), nothing="nothing moves"), rows, least
+        return Outcome(tuple(issues), nothing="nothing moves", series=_series(code, context, rows, least))
     k = least.worst()
     where = " and ".join(least.pair[k]) if least.pair[k][0] else "nothing near"
     worst = float(everywhere[k])
     if rest < worst - DISTANCE_PRECISION:
         worst, where = rest, "a bound; bodies may keep farther apart"
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where), rows, least
+    found = _series(code, context, rows, least)
+    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where, series=found)
+
+
+def _series(code: str, context: Context, rows: IntArray, least: clearance.LeastClearance) -> dict[str, Any]:
+    """Curves of the least distance over the looks."""
+    name = code.removeprefix("verify.")
+    return {
+        f"{name}/time": context.motion.time[rows],
+        f"{name}/distance": least.distance,
+        f"{name}/pair": np.array([" - ".join(pair) for pair in least.pair]),
+    }
 
 
 def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray, clearance.Pairs]]:
     """Samples of a setup by the pairs of bodies that may touch there: a bow's wire, or a cutter, and the
     block in cuts, the heads of forming tools and the sheet between them where they form it."""
-    claims = context.setup_claims[index]
-    arms = [arm.name for arm in context.setups[index].cell.arms]
-    arms = [arm for arm in arms if arm in claims.straight or claims.works(arm)]
+    all_arms = [arm.name for arm in context.setups[index].cell.arms]
+    ends = {arm: found for arm in all_arms if (found := edges(context, index, arm))}
+    arms = list(ends)
     if not arms or not len(rows):
         return [(rows, frozenset())] if len(rows) else []
     labels = context.motion.labels(rows)
-    forms = np.stack([np.isin(labels, list(claims.forms(arm))) for arm in arms], axis=1)
-    cuts = np.stack(
-        [np.isin(labels, list(claims.cuts((arm,)) | claims.mills(arm) | claims.trims(arm))) for arm in arms],
-        axis=1,
+    forms, cuts = (
+        np.stack([np.isin(labels, list(segments_of(ends[arm], meet))) for arm in arms], axis=1)
+        for meet in (True, False)
     )
     flags = np.concatenate([forms, cuts & ~forms], axis=1)
     out = []
@@ -325,8 +344,8 @@ def _change(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray((np.maximum(early, late) + slack).max(axis=(1, 2)))
 
 
-@rule("verify.step_apart")
-def step_apart(context: Context, models: Models) -> Outcome:
+@rule("verify.step_apart", ahead="bodies")
+def step_apart(context: Context) -> Outcome:
     """Arms that may be one step apart keep clear of each other, and the distance of their tools is off no
     more than allowed, at any two instants of a step."""
     if context.job.readings is None or len(context.job.tasks) != 2:
@@ -335,7 +354,7 @@ def step_apart(context: Context, models: Models) -> Outcome:
     if not len(found.first):
         return Outcome(nothing="the arms never move at once")
     issues, worst, limit = _drifts(context, found)
-    least = np.inf
+    models, least = context.get(MODELS), np.inf
     for index in range(len(context.setups)):
         here = context.spans.of_stage[found.stage] == index
         if here.any():
@@ -354,17 +373,18 @@ def _drifts(context: Context, found: Intervals) -> tuple[list[Issue], float, flo
     limits = []
     for index, setup in enumerate(context.setup_claims):
         here = context.spans.of_stage[found.stage] == index
-        for claim in (c for group in setup.groups for c in group if isinstance(c, ToolGap)):
-            rows = np.flatnonzero(here & (labels == claim.segment.key))
-            limits += [claim.handshake] if len(rows) else []
-            over = rows[change[rows] > claim.handshake]
+        bounds = (c.tool_distance for group in setup.groups for c in group)
+        for bound in (one for one in bounds if one is not None):
+            rows = np.flatnonzero(here & (labels == bound.segment.key))
+            limits += [bound.change] if len(rows) else []
+            over = rows[change[rows] > bound.change]
             for k in over[np.argsort(-change[over])][:_ISSUES_SHOWN].tolist():
                 what = (
                     f"one step apart the gap of the tools is off by up to {mm(change[k]):.4f} mm; allowed: "
-                    f"{mm(claim.handshake):g} mm; let the arms meet at more targets, or shorten the moves"
+                    f"{mm(bound.change):g} mm; let the arms meet at more targets, or shorten the moves"
                 )
-                measure = (mm(change[k]), mm(claim.handshake), "mm")
-                arm, at = claim.arms[0], int(found.last[k])
+                measure = (mm(change[k]), mm(bound.change), "mm")
+                arm, at = bound.arms[0], int(found.last[k])
                 issues.append(at_sample(STEP_APART, what, context.motion, arm, at, measure))
     return issues, float(change.max()), min(limits, default=None)
 
@@ -499,9 +519,10 @@ def _forming(context: Context, index: int, found: Intervals) -> BoolArray:
     the heads of their tools on the two sides of one face then, whatever the instant; or a claim bounds the
     gap."""
     motion, setup = context.motion, context.setup_claims[index]
-    names = frozenset.intersection(*(setup.forms(task.arm.name) for task in context.job.tasks))
-    claims = (c for group in setup.groups for c in group)
-    names |= {c.segment.key for c in claims if isinstance(c, ToolGap)}
+    arms = (task.arm.name for task in context.job.tasks)
+    names = frozenset.intersection(*(segments_of(edges(context, index, arm), True) for arm in arms))
+    bounds = (c.tool_distance for group in setup.groups for c in group)
+    names |= {bound.segment.key for bound in bounds if bound is not None}
     other = np.isin(motion.node_label, sorted(names), invert=True).astype(np.int64)
     count = np.concatenate([[0], np.cumsum(other)])
     first, last = motion.node[np.minimum(found.first + 1, found.last)], motion.node[found.last]

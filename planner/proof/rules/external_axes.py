@@ -38,10 +38,7 @@ def standing(context: Context) -> Context:
     """The same proof of the problem whose arms and block stand where the text's targets have them."""
     if not context.playable or not context.stations:
         return context
-    problem = context.problem.stationed(context.stations)
-    out = Context(problem, context.by_operation, context.programs, context.unread, context.untold)
-    out.__dict__["job"] = context.job  # it follows from the text alone
-    return out
+    return context.replaced(context.problem.stationed(context.stations))
 
 
 @rule("verify.external_axes")

@@ -401,8 +401,8 @@ def _unfit(context: Context) -> list[Issue]:
         number = context.setups[index].number
         for claim in setup.joined:
             what = (
-                f"setup {number}: a wire joins {' and '.join(claim.arms)}; arms that may be one step apart "
-                "bend it out of its shape"
+                f"setup {number}: a wire joins {' and '.join(claim.joined_arms)}; arms that may be one step "
+                "apart bend it out of its shape"
             )
             issues.append(Issue(HANDSHAKE, what, hint=hint))
         holder = context.stock(index).held_by

@@ -19,17 +19,10 @@ import numpy as np
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
-from planner.processes.forming.proof import made_sheet
-from planner.processes.forming.proof.state import Forming
-from planner.processes.hotwire.claims import CutsSurface
-from planner.processes.hotwire.proof import made_surfaces
-from planner.processes.hotwire.proof.cut_surface import Sweep
-from planner.processes.milling.proof import made_surfaces as milling_made_surfaces
-from planner.processes.milling.proof.tool_motion import Milling
 from planner.proof.context import Context
+from planner.proof.contribution import of_processes
 from planner.proof.part_files import Samples, UnreadError, comparison, on_triangles, pose
-from planner.proof.part_files.comparison import Made
-from planner.proof.part_files.sheets import sheet_face
+from planner.proof.part_files.made import ALL_RULED, Made, MadeSheet, MadeSurfaces, Wanted
 from planner.proof.part_files.surfaces import Surface, stated
 from planner.proof.rule import Outcome, mm, rule
 
@@ -75,16 +68,19 @@ class _Found:
 
 
 @rule("verify.part_file")
-def part_file(context: Context, sweeps: Sequence[Sweep], forming: Forming, milling: Milling) -> Outcome:
+def part_file(context: Context) -> Outcome:
     """The part as the proof itself reads it from its file, or from the problem's numbers, is what the
     programs make, at places all over it."""
     found = _Found()
     try:
         part = context.problem.source.get("part")
         if part and part.get("sheet_mesh"):
-            _sheet(context, part, forming, found)
+            for one in of_processes(context.problem):
+                sheet = None if one.made_sheet is None else one.made_sheet(context, part)
+                if sheet is not None:
+                    _judge_sheet(sheet, found)
         elif part:
-            _surfaces(context, part, sweeps, milling, found)
+            _surfaces(context, part, found)
         elif context.problem.part is not None and context.problem.source:  # else a part of values in Python
             found.issues.append(
                 Issue(
@@ -99,68 +95,62 @@ def part_file(context: Context, sweeps: Sequence[Sweep], forming: Forming, milli
     return found.outcome()
 
 
-def _surfaces(context: Context, part: Any, sweeps: Sequence[Sweep], milling: Milling, found: _Found) -> None:
-    """Surfaces that wires and cutters make."""
+def _surfaces(context: Context, part: Any, found: _Found) -> None:
+    """Surfaces of a block."""
     block = np.asarray(context.problem.stock.size)
-    whole = {name for name, *_ in comparison.wanted_surfaces(context)}
-    surfaces = stated(part, float(block[2]), not whole.isdisjoint((comparison.ALL_RULED, "edges")))
+    made = [one.made_surfaces for one in of_processes(context.problem) if one.made_surfaces is not None]
+    wanted = [
+        one for operation in context.problem.operations for own in made for one in own.wanted(operation)
+    ]
+    whole = {one.name for one in wanted}
+    surfaces = stated(part, float(block[2]), not whole.isdisjoint((ALL_RULED, "edges")))
     at = _stated_place(part, surfaces, block)
-    pairs = _paired(surfaces, _made(context, surfaces, sweeps, milling, found), at, found)
+    pairs = _paired(surfaces, _made(context, part, surfaces, (made, wanted), found), at, found)
     if not pairs:
         return
     if at is None:
-        at = _place(surfaces, pairs, block, milling)
+        at = _place(surfaces, pairs, block)
         _lies_well(surfaces, at, block, found)
     for surface, one in pairs:
         if surface.part_of:
             _lies_on(surface, one, at, found)
             continue
         # where guides fit in several ways, any of them is what the problem says
-        tried = [_Tried(surface, one, own.moved(at), at, milling) for own in surface.samples]
+        tried = [_Tried(surface, one, own.moved(at), at) for own in surface.samples]
         max(tried, key=lambda each: each.share).judge(found)
 
 
 def _made(
-    context: Context, surfaces: Sequence[Surface], sweeps: Sequence[Sweep], milling: Milling, found: _Found
+    context: Context,
+    part: Any,
+    surfaces: Sequence[Surface],
+    asked: tuple[Sequence[MadeSurfaces], Sequence[Wanted]],
+    found: _Found,
 ) -> list[Made]:
-    """What the operations are to make, with the claims and motions of it."""
-    out = []
-    part: Any = context.problem.source["part"]
+    """What the programs make of what is wanted; ``asked`` are the processes, and what is wanted of them."""
+    processes, wanted = asked
+    out: list[Made] = []
     faces = ("front", "back") if part.get("front") else ()  # ruled surfaces may have these names too
     ruled = [surface.name for surface in surfaces if surface.name not in faces]
-    known = {claim.segment.key: k for k, claim in enumerate(context.surfaces)}
-    for name, kind, tolerance, share, margin in comparison.wanted_surfaces(context):
-        every = [name]
-        if name == comparison.ALL_RULED:
+    for one in wanted:
+        every: Sequence[str] = (one.name,)
+        if one.name == ALL_RULED:
             every = ruled
             if part.get("plate"):
                 # outlines have no names in the problem: as many as it states have to be cut
                 form = re.compile(r"(?:outline|hole)_[a-z]+")
-                cuts = [claim.segment.folded for claim in context.surfaces]
-                every = [cut.name for cut in cuts if form.fullmatch(cut.name)]
+                every = [name for own in processes for name in own.names(context) if form.fullmatch(name)]
                 if len(every) != len(ruled):
                     what = f"{len(every)} outlines are cut; the part, read once more, has {len(ruled)}"
                     count = {"value": len(every), "limit": len(ruled)}
                     found.issues.append(Issue(PART_FILE, what, field="part.plate", **count))  # type: ignore[arg-type]
-        for own in every:
-            wanted = Segment(kind, own).folded
-            segment = str(wanted)
-            first = [(c[1].segments[0].folded, c) for c in milling.surfaces]
-            form = re.compile(re.escape(wanted.name) + r"_[a-z]*[0-9]+")  # passes of one cut are numbered
-            mills = [c for one, c in first if one == wanted]
-            mills = mills or [c for one, c in first if one.kind == kind and form.fullmatch(one.name)]
-            if kind == "cut" and segment in known:
-                k = known[segment]
-                out.append(Made(own, segment, tolerance, share, context.surfaces[k], sweeps[k]))
-            elif kind == "mill" and mills:
-                base = own.removesuffix("_lines") if name.endswith("_lines") else own
-                out += [
-                    Made(base, segment, tolerance, share, claim, None, index, margin)
-                    for index, claim in mills
-                ]
-            else:
-                what = f"the problem wants {own} made, and nothing is claimed of {segment}"
-                found.issues.append(Issue(PART_FILE, what, field=segment))
+        for name in every:
+            made = [each for own in processes for each in own.made(context, one, name)]
+            if not made:
+                segment = Segment(one.kind, name).folded
+                what = f"the problem wants {name} made, and nothing is claimed of {segment}"
+                found.issues.append(Issue(PART_FILE, what, field=str(segment)))
+            out += made
     return out
 
 
@@ -183,7 +173,7 @@ def _paired(
             fits = [
                 k for k, surface in enumerate(left) if surface.name == base and base in comparison.OUTLINES
             ]
-            box = _box(one.claim.vertices)
+            box = _box(one.vertices)
             far = [np.abs(_box(left[k].bound @ at[:3, :3].T + at[:3, 3]) - box).max() for k in fits]
             fits = [fits[int(np.argmin(far))]] if fits else []
         if fits:
@@ -216,7 +206,7 @@ def _stated_place(part: Any, surfaces: Sequence[Surface], block: FloatArray) -> 
 
 
 def _place(
-    surfaces: Sequence[Surface], pairs: Sequence[tuple[Surface, Made]], block: FloatArray, milling: Milling
+    surfaces: Sequence[Surface], pairs: Sequence[tuple[Surface, Made]], block: FloatArray
 ) -> FloatArray:
     """The place of a part, in the middle of the block, that fits what is made best, over the ways in which
     its guides may be joined."""
@@ -234,11 +224,11 @@ def _place(
         source = [surface.samples[min(k, len(surface.samples) - 1)] for surface, _ in pairs]
         at = comparison.aligned_pose(source, target, bound, middle, all_around)
         share = [
-            _Tried(surface, one, own.moved(at), at, milling).share
+            _Tried(surface, one, own.moved(at), at).share
             for (surface, one), own in zip(pairs, source, strict=True)
         ]
         tried.append((min(share), at))
-        if tried[-1][0] >= max(one.share for _, one in pairs) - SHARE_NOISE:
+        if tried[-1][0] >= max(one.wanted.share for _, one in pairs) - SHARE_NOISE:
             break
     return max(tried, key=lambda one: one[0])[1]
 
@@ -263,21 +253,15 @@ def _lies_well(surfaces: Sequence[Surface], at: FloatArray, block: FloatArray, f
 class _Tried:
     """One reading of a surface, in the block's frame, against what is made."""
 
-    def __init__(
-        self, surface: Surface, one: Made, places: Samples, at: FloatArray, milling: Milling
-    ) -> None:
+    def __init__(self, surface: Surface, one: Made, places: Samples, at: FloatArray) -> None:
         self.surface, self.one, self.places = surface, one, places
-        wire = isinstance(one.claim, CutsSurface)
-        self.off = (
-            made_surfaces.off_wire(one, places)
-            if wire
-            else milling_made_surfaces.off_cutter(milling, one, places)
-        )
-        self.limit, self.wanted = one.tolerance + surface.spare + READING_ERROR, one.share - SHARE_NOISE
+        self.off = one.off(places)
+        self.limit = one.wanted.tolerance + surface.spare + READING_ERROR
+        self.wanted = one.wanted.share - SHARE_NOISE
         self.counts = np.ones(len(places.points), dtype=np.bool_)
-        if one.margin > 0.0:
+        if one.wanted.margin > 0.0:
             rim = surface.rim() @ at[:3, :3].T + at[:3, 3]
-            self.counts = comparison.beside(places.points, rim) > one.margin
+            self.counts = comparison.beside(places.points, rim) > one.wanted.margin
         self.good = np.abs(self.off) <= self.limit  # NaN is not good
         self.share = float(self.good[self.counts].mean()) if self.counts.any() else 0.0
 
@@ -285,7 +269,7 @@ class _Tried:
         """Tell what is found."""
         surface, one, seen = self.surface, self.one, int(self.counts.sum())
         found.record(surface.file, seen, self.share, self.wanted)
-        fewest = FEWEST_PLACES_OF_STRIP if one.margin > 0.0 else min(FEWEST_PLACES, len(self.good))
+        fewest = FEWEST_PLACES_OF_STRIP if one.wanted.margin > 0.0 else min(FEWEST_PLACES, len(self.good))
         if seen < fewest:
             what = f"{seen} places of {surface.name} of {surface.file} were looked at, wanted: {fewest}"
             found.issues.append(Issue(PART_FILE, what, field=one.segment, value=seen, limit=fewest))
@@ -324,55 +308,30 @@ class _Told:
 
 def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None:
     """Of a strip, what is made lies on the surface that was read, as near as the problem allows."""
-    if one.sweep is None or not isinstance(one.claim, CutsSurface):
+    if not one.along_strips:
         return
     places = comparison.of_claim(one, FEWEST_PLACES)
-    off = made_surfaces.off_wire(one, places)
+    off = one.off(places)
     points = places.points + off[:, None] * places.normals
     known = np.isfinite(off)
     facets = surface.facets @ at[:3, :3].T + at[:3, 3]
     apart = np.full(len(points), np.nan)
     apart[known] = comparison.off_facets(points[known], facets)
-    limit, wanted = one.tolerance + surface.spare + READING_ERROR, one.share - SHARE_NOISE
+    limit = one.wanted.tolerance + surface.spare + READING_ERROR
+    wanted = one.wanted.share - SHARE_NOISE
     share = float((apart <= limit).mean())
     found.record(surface.file, len(points), share, wanted)
     if share < wanted:
         found.issues.append(_Told(surface.file, one.segment, share, wanted, limit).issue(places, apart))
 
 
-def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None:
-    """The walls of a sheet that is formed."""
-    claimed = (made.part.mesh_tolerance for made, _ in forming.parts if made is not None)
-    sheet = sheet_face(part, max(claimed, default=0.0))
-    operations: list[Any] = [op for op in context.problem.operations if op.process == "forming"]
-    if not operations:
-        return
-    shares = min(op.share for op in operations) - SHARE_NOISE
-    tolerance = min(op.gouge_tol_mm for op in operations) / 1000.0
-    level = next(iter(forming.levels), None)
-    whole = (
-        None if level is None else next((m.part for m, g in forming.parts if m and level.claim in g), None)
-    )
-    if level is not None and whole is not None:
-        # all passes are claimed and held against this part, though one level alone is formed
-        off = np.abs(made_sheet.off_mesh(sheet.walls.points, whole.vertices, whole.faces))
-        allowed, segment = np.full(len(off), tolerance), str(level.claim.segment)
-    elif forming.formed:
-        shifted = any(op.strategy == "virgin" for op in operations)
-        thickness = float(context.problem.stock.size[2])
-        off, allowed = made_sheet.off_sheet(forming, sheet, thickness, shifted)
-        segment = str(forming.formed[0].claim.segment)
-    else:
-        # both tools follow stated poses; what they leave is not a matter of where a ball was
-        formed = None if context.problem.part is None else context.problem.part.formed
-        if formed is None:
-            return
-        off = made_sheet.off_mesh(sheet.walls.points, formed.source.vertices, formed.source.faces)
-        allowed, segment = np.full(len(off), tolerance), "part"
+def _judge_sheet(made: MadeSheet, found: _Found) -> None:
+    """The walls of a sheet against those of the file."""
+    sheet, wanted = made.sheet, made.share - SHARE_NOISE
     spare = READING_ERROR + sheet.tolerance
-    good = (off <= allowed + spare) & (off >= -tolerance - spare)
+    good = (made.off <= made.allowed + spare) & (made.off >= -made.tolerance - spare)
     share = float(good.mean())
-    found.record(sheet.file, len(off), share, shares)
-    if share < shares:
-        limit = float(allowed.max())
-        found.issues.append(_Told(sheet.file, segment, share, shares, limit).issue(sheet.walls, off))
+    found.record(sheet.file, len(good), share, wanted)
+    if share < wanted:
+        told = _Told(sheet.file, made.segment, share, wanted, float(made.allowed.max()))
+        found.issues.append(told.issue(sheet.walls, made.off))

@@ -22,6 +22,7 @@ from planner.programs.steps import MoveStep
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.inverse_kinematics import singularity_distance
+from planner.proof.models import MODELS
 from planner.proof.replay.moves import driven_knots
 from planner.proof.replay.tool_speeds import tool_speeds
 from planner.proof.rule import Outcome, at_sample, at_step, mm, rule
@@ -368,8 +369,6 @@ def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
     return float(most[worst]), steps[worst].line
 
 
-Models = Callable[[int], CellModel]
-
 DRAKE_SAMPLES: Final = 1000
 """Samples of a motion at which every link is held against Drake; each setup has a tenth of them at least."""
 LINK_ERROR: Final = 1e-9
@@ -411,11 +410,11 @@ def _from_files(source: Mapping[str, Any], cell: Cell) -> Iterator[tuple[Mapping
             yield (own["robot"] if isinstance(own["robot"], Mapping) else {}), arm.given
 
 
-@rule("verify.kinematics")
-def kinematics(context: Context, models: Models) -> Outcome:
+@rule("verify.kinematics", ahead="bodies")
+def kinematics(context: Context) -> Outcome:
     """Drake puts every link where the robots' files do, and so does what bounds the clearance; the tools,
     and the block that one holds, are where the replay has them."""
-    issues: list[Issue] = []
+    models, issues = context.get(MODELS), list[Issue]()
     worst, count = 0.0, 0
     total = len(context.sample_setup)
     for index in range(len(context.setups)):

@@ -9,7 +9,7 @@ are apart, whatever found it."""
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from planner.programs.steps import MOST_OUTER
 from planner.proof.clearance.lines_apart import SAME_WAY, nearer, reach, round_about, slides, standing
 from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, floor_of, moved_on, outer_axes, slid
+from planner.proof.models import MODELS
 from planner.proof.rule import Outcome, mm, rule
 from planner.proof.rules.clearance import of_one_arm
 from planner.proof.rules.external_axes import clamped, off_place, spun
@@ -40,14 +41,14 @@ LEVEL = 1e-9
 """Axes whose unit vectors' heights are less go level."""
 
 
-@rule("verify.track_way")
-def track_way(context: Context, models: Callable[[int], CellModel]) -> Outcome:
+@rule("verify.track_way", ahead="bodies")
+def track_way(context: Context) -> Outcome:
     """On the way of a track, turntable or positioner, and of each axis of a gantry, from station to station
     bodies keep their clearance, all arms folded at home; what is tilted, raised or lowered keeps it from the
     floor, too. What axes carry is where sums of the proof's own have it, in each setup. Where looks had what
     rides is held against the values by such sums and turns, and shapes that ride against all that stand but
     those that bear them, along lines. The base of a track that goes along keeps it there, too."""
-    limit = context.problem.settings.clearance
+    models, limit = context.get(MODELS), context.problem.settings.clearance
     issues: list[Issue] = []
     worst, where, looks = np.inf, "", 0
     at = context.problem.homes

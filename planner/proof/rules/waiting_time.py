@@ -14,8 +14,6 @@ import numpy as np
 from planner.claims.handshake import HandshakeKind
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
-from planner.processes.hotwire.claims import StraightWire, WireJoins
-from planner.processes.milling.claims import MillsAlong
 from planner.programs import job, stages
 from planner.programs.handshake.automata import Reading
 from planner.programs.stages import Stage, TaskText, sync_points
@@ -241,8 +239,9 @@ def _dwells(context: Context) -> dict[tuple[int, str], float]:
     """The longest wait [s] that a G-code file asks for at one place, by setup and segment."""
     out: dict[tuple[int, str], float] = {}
     for claim in context.claims:
-        if isinstance(claim, MillsAlong) and claim.dwell > 0.0:
-            out[context.setup_of(claim), claim.segment.key] = claim.dwell
+        if claim.longest_stop is not None:
+            segment, seconds = claim.longest_stop
+            out[context.setup_of(claim), segment.key] = seconds
     return out
 
 
@@ -257,7 +256,7 @@ def _creeping(context: Context, signal: str, own: Collection[str]) -> list[Issue
         if all(claim.signal.lower() != signal.lower() for claim in setup.contacts):
             continue
         least = min((c.lower for c in context.feeds if context.setup_of(c) == index), default=0.0)
-        lever = 0.5 * max(_lengths(context, index), default=0.0)
+        lever = 0.5 * max((c.heated_length for group in setup.groups for c in group), default=0.0)
         here = np.flatnonzero(on & (context.spans.of_stage[motion.node_stage] == index))
         if least <= 0.0 or lever <= 0.0 or not len(here):
             continue
@@ -270,18 +269,6 @@ def _creeping(context: Context, signal: str, own: Collection[str]) -> list[Issue
             issue = at_node(POWER_IDLE, what, motion, next(iter(motion.tcp)), int(here[k]))
             issues.append(dataclasses.replace(issue, value=took, limit=float(most[k]), unit="s"))
     return issues
-
-
-def _lengths(context: Context, index: int) -> list[float]:
-    """Lengths [m] of the wires of a setup."""
-    out = []
-    for group in context.setup_claims[index].groups:
-        for claim in group:
-            if isinstance(claim, WireJoins):
-                out.append(claim.length)
-            elif isinstance(claim, StraightWire):
-                out.append(float(np.linalg.norm(claim.end - claim.start)))
-    return out
 
 
 def _ways(context: Context, arm: str, lever: float) -> FloatArray:

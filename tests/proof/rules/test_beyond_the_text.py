@@ -19,6 +19,7 @@ from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, 
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve, WireJoins
 from planner.processes.poses.claims import FollowsPoses
 from planner.proof.context import Context
+from planner.proof.models import MODELS
 from planner.proof.prove import Prover
 from planner.proof.replay.motion import Poses
 from planner.proof.rules import robot_motion
@@ -162,12 +163,13 @@ def test_a_zone_between_a_joint_move_and_a_straight_one():
 def test_drake_must_put_the_tools_where_the_replay_has_them():
     context = Context(small_job.problem(), small_job.claims(), programs())
     model = build(context.problem.cell, context.problem.stock, context.stock_pose, context.bases)
-    assert robot_motion.kinematics(context, lambda _: model).issues == ()
+    context.put(MODELS, lambda index: model)
+    assert robot_motion.kinematics(context).issues == ()
     motion = context.motion
     off = {arm: Poses.of(pose[:]) for arm, pose in motion.tcp.items()}
     off["left"].place[:, 0] += 2.0 * robot_motion.TCP_ERROR
     context.__dict__["motion"] = dataclasses.replace(motion, tcp=off)
-    found = robot_motion.kinematics(context, lambda _: model).issues
+    found = robot_motion.kinematics(context).issues
     assert {issue.code for issue in found} == {"verify.kinematics"}
 
 

@@ -20,6 +20,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, Shape
 from planner.problem import Cell, LinearAxis, Obstacle
 from planner.proof.context import Context
+from planner.proof.models import MODELS
 from planner.proof.prove import Prover
 from planner.proof.rules import external_axes, track_way
 from tests import gantry_job
@@ -52,7 +53,7 @@ def test_the_text_has_base_and_bodies_where_sums_by_hand_have_them(prover: Prove
         text = context.motion.node_tcp["left"][nodes][:, :3, 3]
         assert np.linalg.norm(text[:, None] - tcp, axis=2).min(axis=0).max() < 1e-6
         # the column rides on the bridge alone, the console on both
-        model = prover.model(context, index)
+        model = context.get(MODELS)(index)
         poses = model.poses({})
         np.testing.assert_allclose(poses["column"][0][:3, 3], [0.0, y, 0.0], atol=1e-9)
         np.testing.assert_allclose(poses["console"][0][:3, 3], [0.0, y, z], atol=1e-9)
@@ -365,7 +366,7 @@ def test_a_block_is_no_bearing(prover: Prover, monkeypatch: pytest.MonkeyPatch, 
     stock = dataclasses.replace(prover.problem.stock, place=place)
     made = Prover(dataclasses.replace(prover.problem, stock=stock), prover.claims)
     context = external_axes.standing(Context(made.problem, made.claims, gantry_job.planned().programs))
-    found = track_way.track_way(context, lambda index: made.model(context, index)).issues
+    found = track_way.track_way(context).issues
     told = [one.message for one in found if "bridge from 0 mm to -500 mm: " in one.message]
     words = "nothing shows that column keeps 10 mm off stock"
     words = words if blind else "column and stock are 2.000 mm apart"

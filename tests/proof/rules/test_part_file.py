@@ -21,6 +21,8 @@ from planner.geometry.rulings import outward_sides, tessellate
 from planner.geometry.wing import naca
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from planner.processes.hotwire.proof.cut_surface import Sweep
+from planner.processes.hotwire.proof.rules.cut_part import SWEEPS
+from planner.processes.milling.proof.tool_motion import MILLING
 from planner.proof.prove import Prover
 from planner.proof.rules import part_file
 from tests.processes.forming.proof import forming_job
@@ -95,8 +97,9 @@ def judged(read, said, folder, cuts="all", size=SIZE, operation=None):
         operations=(operation or straight,),
         part=part,
     )
-    context = SimpleNamespace(problem=problem, surfaces=tuple(surfaces))
-    return part_file.part_file(context, sweeps, None, SimpleNamespace(surfaces=()))
+    facts = {SWEEPS: sweeps, MILLING: SimpleNamespace(surfaces=())}
+    context = SimpleNamespace(problem=problem, of=lambda kind: tuple(surfaces), get=facts.__getitem__)
+    return part_file.part_file(context)
 
 
 def elastic(*faces):

@@ -16,6 +16,7 @@ from planner.cell.plant import CellModel, build
 from planner.issues import TandemError
 from planner.proof.context import Context
 from planner.proof.kinematics.chain import Chain
+from planner.proof.models import MODELS
 from planner.proof.prove import Prover, prove
 from planner.proof.rules import robot_motion
 from tests.languages.krl import krl_job
@@ -148,7 +149,8 @@ def test_drake_is_not_asked_to_plan_with_a_file_that_cannot_be_read(folder):
 
 
 def kinematics(context, model):
-    return robot_motion.kinematics(context, lambda _: model)
+    context.put(MODELS, lambda index: model)
+    return robot_motion.kinematics(context)
 
 
 @pytest.fixture(scope="module")
@@ -214,12 +216,12 @@ def test_the_planners_chain_is_held_against_drake(small, monkeypatch):
 
 def test_a_held_block_is_looked_at():
     context = Context(held_job.problem(), held_job.claims(), held_job.programs())
-    prover = Prover(context.problem, context.by_operation)
     held = next(i for i in range(len(context.setups)) if context.holder(i) is not None)
-    model = prover.model(context, held)
-    outcome = robot_motion.kinematics(context, lambda index: prover.model(context, index))
-    assert outcome.issues == ()
+    models = context.get(MODELS)
+    model = models(held)
+    assert robot_motion.kinematics(context).issues == ()
     grip = dataclasses.replace(model.stock, grip=model.stock.grip + 1e-5 * np.eye(4, k=3))
-    prover._models[held] = build(model.cell, grip, model.stock_pose, context.bases)
-    found = robot_motion.kinematics(context, lambda index: prover.model(context, index)).issues
+    moved = build(model.cell, grip, model.stock_pose, context.bases)
+    context.put(MODELS, lambda index: moved if index == held else models(index))
+    found = robot_motion.kinematics(context).issues
     assert ("stock",) in {issue.bodies for issue in found}

@@ -12,7 +12,7 @@ from planner.claims.claim import HoldsStock
 from planner.claims.segments import Segment
 from planner.processes.forming.claims import SheetState, ToolGap
 from planner.proof.context import Context
-from planner.proof.prove import Prover
+from planner.proof.models import MODELS
 from planner.proof.rules import clearance as clearance_rules
 from planner.proof.rules import handshake
 from tests.proof import handshake_job, small_job
@@ -41,8 +41,7 @@ def gap(limit, segment="cut/front"):
 
 
 def outcome(here):
-    prover = Prover(here.problem, here.by_operation)
-    return clearance_rules.step_apart(here, lambda index: prover.model(here, index))
+    return clearance_rules.step_apart(here)
 
 
 @pytest.mark.parametrize("every", [1, 3])
@@ -93,7 +92,7 @@ def test_clearance_one_step_apart_against_trials():
     near = outcome(here)
     assert not near.issues
     told = float(near.where.split("at least ")[1].split(" ")[0]) * 1e-3
-    model = Prover(here.problem, here.by_operation).model(here)
+    model = here.get(MODELS)(0)
     found = clearance_rules.intervals(here)
     rng = np.random.default_rng(3)
     k = rng.integers(len(found.first), size=200)
@@ -114,7 +113,7 @@ def test_a_grid_of_instants_finds_nothing_nearer_where_bounds_leave_doubt():
     """With more clearance wanted than the arms have, whole intervals are in doubt; their pairs of instants
     are measured no farther apart than half a stride, and none of a plain grid is nearer by more than that."""
     here = context(clearance=0.5)
-    model = Prover(here.problem, here.by_operation).model(here)
+    model = here.get(MODELS)(0)
     found = clearance_rules.intervals(here)
     found = found.some(np.arange(len(found.first)) < 2)
     ignore = clearance_rules._others(here, model, 0)
@@ -166,4 +165,4 @@ def test_a_block_that_is_held_in_motion_is_refused():
 def test_one_controller_has_nothing_to_prove_here():
     there = Context(small_job.problem(), small_job.claims(), small_job.programs(8))
     assert handshake.handshake(there).nothing == "one controller"
-    assert clearance_rules.step_apart(there, lambda index: None).nothing == "one controller"
+    assert clearance_rules.step_apart(there).nothing == "one controller"

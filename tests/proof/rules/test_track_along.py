@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +19,7 @@ from planner.problem import END, Obstacle
 from planner.processes import registry
 from planner.proof.clearance import samples
 from planner.proof.context import Context
+from planner.proof.models import MODELS
 from planner.proof.prove import Prover
 from planner.proof.rules import clearance, external_axes
 from planner.proof.rules.track_way import track_way
@@ -244,7 +244,7 @@ def test_what_the_base_and_the_arm_pass_as_they_go_along_is_looked_at(prover: Pr
     other = _on(prover, obstacle=STOP)
     programs = following_job.planned().programs
     context = external_axes.standing(Context(other.problem, other.claims, programs))
-    near = track_way(context, functools.partial(other.model, context)).issues
+    near = track_way(context).issues
     own = [issue.message for issue in near if issue.message.startswith("as TRACK_1 goes along")]
     assert own and all("left/base_link and post" in message for message in own)
     hit = _told(_on(prover, obstacle=GATE), "verify.clearance")
@@ -276,14 +276,14 @@ def test_of_many_looks_those_in_doubt_have_the_base_where_it_is(
     context: Context, prover: Prover, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A long motion is measured at some looks first; by what all looks at once give."""
-    models = functools.partial(prover.model, context)
+    models = context.get(MODELS)
     some = [look for look in clearance.looks(context) if not look.itself and look.index == 0]
     (whole,) = clearance.measured(models, some, prover.problem.settings)
     monkeypatch.setattr(samples, "MOST_MEASURED", 40)
     monkeypatch.setattr(clearance, "MEASURED_REACH", 0.4)
     (part,) = clearance.measured(models, some, prover.problem.settings)
     assert whole is not None and part is not None and 10 <= len(part.look) < len(whole.look)
-    model = prover.model(context).with_bases(some[0].bases)
+    model = models(0).with_bases(some[0].bases)
     for look, distance in zip(part.look.tolist(), part.least.distance, strict=True):
         q = {arm: rows[look : look + 1] for arm, rows in some[0].q.items()}
         ignore = some[0].ignore | clearance.aside(model, False)

@@ -124,16 +124,16 @@ def _block(task: TaskText, moves: list[MoveStep], first: int, end: int) -> Block
 
 
 @rule("verify.spline")
-def spline(context: Context) -> tuple[Outcome, Context]:
+def spline(context: Context) -> Outcome:
     """Spline blocks (KRL): whatever curve of the fifth order a controller lays through their points, it is so
     near to the straight ways between them that all other rules hold with that much less room, and no faster
     than allowed."""
     found = list(blocks(context))
     if not found:
-        return Outcome(nothing="no spline block"), context
+        return Outcome(nothing="no spline block")
     issues = _refused(context, found)
     if issues:
-        return Outcome(tuple(issues)), context
+        return Outcome(tuple(issues))
     own: list[Allowance] = []
     worst = 0.0
     for block in found:
@@ -152,8 +152,14 @@ def spline(context: Context) -> tuple[Outcome, Context]:
     issues += _left(context, found[0], most) if not issues else []
     points = sum(len(block.moves) for block in found)
     where = f"{len(found)} blocks of {points} points, how they are planned {NOT_SEEN_TEXT}"
-    outcome = Outcome(tuple(issues), mm(worst), mm(MOST_OFF_STRAIGHT), "mm off the straight ways", where)
-    return outcome, context if issues else tightened(context, most)
+    return Outcome(
+        tuple(issues),
+        mm(worst),
+        mm(MOST_OFF_STRAIGHT),
+        "mm off the straight ways",
+        where,
+        context=None if issues else tightened(context, most),
+    )
 
 
 def _refused(context: Context, found: list[Block]) -> list[Issue]:
@@ -409,9 +415,8 @@ def tightened(context: Context, most: Allowance) -> Context:
     less = {
         name: tuple(_less(claim, most) for claim in group) for name, group in context.by_operation.items()
     }
-    out = Context(problem, less, context.programs, context.unread, context.untold)
-    for known in ("job", "motion"):  # they follow from the text alone
-        out.__dict__[known] = getattr(context, known)
+    out = context.replaced(problem, less)
+    vars(out)["motion"] = context.motion  # it follows from the text alone
     return out
 
 

@@ -1,18 +1,20 @@
-"""Deviation of the part file from the formed sheet."""
+"""The formed sheet against the sheet of the part file."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.processes.forming.proof.face import Face, least_gap
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING, Forming
 from planner.processes.forming.proof.swept import Swept, swept
+from planner.proof.context import Context
 from planner.proof.part_files.comparison import ON_FACE
-from planner.proof.part_files.sheets import SheetFace
+from planner.proof.part_files.made import MadeSheet
+from planner.proof.part_files.sheets import SheetFace, sheet_face
 
 _NOISE_TOLERANCES: Final = 2.5
 """Factor of the tolerance of a mesh with noise by which a face may be farther away, as folds are
@@ -66,3 +68,41 @@ def off_mesh(points: FloatArray, vertices: FloatArray, faces: IntArray) -> Float
     """How far (N,) [m] points are off a mesh."""
     face = Face(vertices, faces, 0.01)
     return face.nearest(points).apart
+
+
+def made_sheet(context: Context, part: Any) -> MadeSheet | None:
+    """What forming makes of the sheet of a part file.
+
+    Args:
+        context: Context of the proof.
+        part: The part as the problem file states it.
+
+    Returns:
+        None if nothing is formed of it.
+    """
+    forming = context.get(FORMING)
+    claimed = (made.part.mesh_tolerance for made, _ in forming.parts if made is not None)
+    sheet = sheet_face(part, max(claimed, default=0.0))
+    operations: list[Any] = [op for op in context.problem.operations if op.process == "forming"]
+    if not operations:
+        return None
+    share = min(op.share for op in operations)
+    tolerance = min(op.gouge_tol_mm for op in operations) / 1000.0
+    points = sheet.walls.points
+    level = next(iter(forming.levels), None)
+    parts = ((made.part, group) for made, group in forming.parts if made is not None)
+    whole = None if level is None else next((own for own, group in parts if level.claim in group), None)
+    if level is not None and whole is not None:
+        # all passes are claimed and compared with this part, though one level alone is formed
+        off = np.abs(off_mesh(points, whole.vertices, whole.faces))
+        return MadeSheet(sheet, off, np.full(len(off), tolerance), tolerance, share, str(level.claim.segment))
+    if forming.formed:
+        shifted = any(op.strategy == "virgin" for op in operations)
+        off, allowed = off_sheet(forming, sheet, float(context.problem.stock.size[2]), shifted)
+        return MadeSheet(sheet, off, allowed, tolerance, share, str(forming.formed[0].claim.segment))
+    # both tools follow stated poses; what they leave is not a matter of where a ball was
+    formed = None if context.problem.part is None else context.problem.part.formed
+    if formed is None:
+        return None
+    off = off_mesh(points, formed.source.vertices, formed.source.faces)
+    return MadeSheet(sheet, off, np.full(len(off), tolerance), tolerance, share, "part")

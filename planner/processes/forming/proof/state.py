@@ -23,8 +23,8 @@ from planner.processes.forming.proof.level import told as levels_told
 from planner.processes.forming.proof.released import Released, Told, released, told
 from planner.processes.forming.proof.shapes import Feature, PartShapes, in_order
 from planner.proof.context import Context
+from planner.proof.facts import Fact
 from planner.proof.replay.motion import Poses, Rows, during
-from planner.runtime.executor import SERIAL, Executor
 
 _BLOCK_SAMPLES = 32
 """Samples of a way that are bounded as one."""
@@ -452,32 +452,31 @@ Left = Mapping[int, Iterator[Face | None]]
 """What has been begun of :func:`left_of`, by the ``id`` of the claim."""
 
 
-def begun_faces(context: Context, executor: Executor) -> Left:
-    """Begins what is left of faces on whose other side a tool supports the sheet: that follows from claims
-    alone, so it is worked out while texts are read, where another process has the time."""
+def _begun_faces(context: Context) -> Left:
+    """Begin what is left of faces on whose other side a tool supports the sheet.
+
+    That follows from claims alone, so another process works on it while texts are read.
+    """
     claims = [claim for setup in context.setup_claims for group in setup.groups for claim in now(group)]
     held = {c.segment.key for c in claims if isinstance(c, SheetState) and len(c.arms) > 1}
     formed = [c for c in claims if isinstance(c, FormsSheet) and c.segment.key in held]
-    if not executor.parallel:
+    if not context.executor.parallel:
         return {}
-    return {id(claim): executor.submit(left_of, claim) for claim in formed}
+    return {id(claim): context.executor.submit(left_of, claim) for claim in formed}
+
+
+LEFT_FACES: Final[Fact[Context, Left]] = Fact("left faces", _begun_faces, lasting=True)
+"""What has been begun of :func:`left_of`."""
 
 
 class Forming:
-    """The forming of one proof; ``executor`` runs what another process may work out meanwhile, ``left`` is
-    what of it was begun before, ``faces`` those of earlier proofs of the same claims, which are kept."""
+    """The forming of one proof. Its faces are kept for later proofs of the same claims."""
 
-    def __init__(
-        self,
-        context: Context,
-        executor: Executor = SERIAL,
-        left: Left | None = None,
-        faces: list[tuple[float, Face]] | None = None,
-    ) -> None:
-        self.context, self.executor = context, executor
-        self._left = left or {}
+    def __init__(self, context: Context) -> None:
+        self.context, self.executor = context, context.executor
+        self._left = context.get(LEFT_FACES)
         self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
-        self._faces: list[tuple[float, Face]] = [] if faces is None else faces
+        self._faces: list[tuple[float, Face]] = context.kept.setdefault("faces", [])
         self._balls: dict[tuple[int, int], Balls] = {}
         self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
             (index, claim)
@@ -635,3 +634,7 @@ class Forming:
         balls = self._ball(way, face)
         wanted = face.value(balls.near(knots), claim.gap[claim.faces])
         return Opened(claim, way, parts, knots, face, balls, *wanted)
+
+
+FORMING: Final[Fact[Context, Forming]] = Fact("forming", Forming)
+"""The forming of a proof."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,10 +21,13 @@ from planner.geometry.mesh import TriangleMesh, closest_on_triangles, face_norma
 from planner.geometry.units import MM
 from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.proof.face import Face, apart, least_gap
-from planner.processes.forming.proof.state import ByRow, Formed, Forming
+from planner.processes.forming.proof.state import FORMING, ByRow, Formed, Forming
+from planner.proof.context import Context
 from planner.proof.faces import areas, divided, vertex_normals
+from planner.proof.facts import Fact
 from planner.proof.replay.motion import Runs
 from planner.proof.verdict import CutFace
+from planner.runtime.executor import SERIAL
 
 SAME_LEVEL = 1e-5
 """Triangles all of whose corners are so near to a level [m] are flat there."""
@@ -63,10 +67,18 @@ class Swept:
         return Swept(one.claim, one.face, start, end, None if one.level is None else one.level.contour)
 
 
-def envelopes(some: Sequence[Swept]) -> Iterator[CutFace]:
-    """The :func:`envelope` of each pass."""
+def _envelopes(some: Sequence[Swept]) -> Iterator[CutFace]:
     for one in some:
         yield envelope(one)
+
+
+def _begun_envelopes(context: Context) -> Iterator[CutFace]:
+    passes = [Swept.of(one) for one in context.get(FORMING).formed]
+    return (context.executor if passes else SERIAL).submit(_envelopes, passes)
+
+
+ENVELOPES: Final[Fact[Context, Iterator[CutFace]]] = Fact("envelopes", _begun_envelopes)
+"""The :func:`envelope` of each pass, in order, to be taken once."""
 
 
 def envelope(one: Swept) -> CutFace:

@@ -324,7 +324,7 @@ def slits(context: Context, wire: Wire) -> dict[str, Slit]:
     out: dict[str, Slit] = {}
     if wire.fault:
         return out
-    surfaces = {claim.segment: claim for claim in context.surfaces}
+    surfaces = {claim.segment: claim for claim in context.of(CutsSurface)}
     for claim in context.setup_claims[wire.setup].groups:
         lead = {one.segment: one.way for one in claim if isinstance(one, LeadsFrom)}
         for allowed in (one for one in claim if isinstance(one, SlitsAllowed)):

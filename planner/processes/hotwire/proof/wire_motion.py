@@ -6,16 +6,20 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, log_rotation
 from planner.problem import Stock
 from planner.processes.hotwire.claims import StraightWire, WireJoins
-from planner.processes.hotwire.proof.mounting import Phase
 from planner.processes.hotwire.proof.rod import Rod, RodError, RodPath, follow, mount
 from planner.proof.context import Context
+from planner.proof.facts import Fact
+from planner.proof.setups import Phase, SetupClaims
 
 ROD_SEGMENTS = 64
 """Segments of the rod that stands for a wire."""
@@ -63,13 +67,51 @@ class Wire:
 
 def wires(context: Context) -> tuple[Wire, ...]:
     """All wires of a job: the bent ones, then the straight ones, setup by setup."""
-    bent = [follow_wire(context, phase) for phase in context.phases]
+    bent = [follow_wire(context, *one) for one in mounted(context)]
     straight = [
         straight_wire(context, index, arm, claims)
         for index, setup in enumerate(context.setup_claims)
-        for arm, claims in setup.straight.items()
+        for arm, claims in straight_claims(setup).items()
     ]
     return (*bent, *straight)
+
+
+def mounted(context: Context) -> tuple[tuple[Phase, WireJoins], ...]:
+    """Find when bent wires are mounted, with the claims about them."""
+    return tuple((one, one.claim) for one in context.phases if isinstance(one.claim, WireJoins))
+
+
+WIRES: Final[Fact[Context, tuple[Wire, ...]]] = Fact("wires", wires, sent=True)
+"""All wires of a job."""
+
+
+def straight_claims(setup: SetupClaims) -> dict[str, tuple[StraightWire, ...]]:
+    """Return the claims about straight wires by arm."""
+    out: dict[str, tuple[StraightWire, ...]] = {}
+    for claim in (claim for group in setup.groups for claim in group):
+        if isinstance(claim, StraightWire):
+            out[claim.arm] = (*out.get(claim.arm, ()), claim)
+    return out
+
+
+def cut_segments(group: Sequence[Claim], arms: tuple[str, ...]) -> frozenset[str]:
+    """Find the segments in which the wire of ``arms`` may be in the foam.
+
+    They have a feed window, in an operation that has this wire and allows contact in segments of that kind.
+    """
+    hands = {c.arms for c in group if isinstance(c, WireJoins)} | {
+        (c.arm,) for c in group if isinstance(c, StraightWire)
+    }
+    if arms not in hands:
+        return frozenset()
+    kinds = {kind for c in group if isinstance(c, ContactOnlyIn) for kind in c.kinds}
+    fed = (c.segment for c in group if isinstance(c, FeedWindow))
+    return frozenset(segment.key for segment in fed if segment.kind in kinds)
+
+
+def _cuts(context: Context, index: int, arms: tuple[str, ...]) -> frozenset[str]:
+    groups = context.setup_claims[index].groups
+    return frozenset[str]().union(*(cut_segments(group, arms) for group in groups))
 
 
 def samples(context: Context, phase: Phase) -> IntArray:
@@ -106,19 +148,19 @@ def _chosen(context: Context, rows: IntArray, way: FloatArray, spacing: float) -
     return np.asarray(rows[chosen], dtype=np.int64)
 
 
-def follow_wire(context: Context, phase: Phase) -> Wire:
+def follow_wire(context: Context, phase: Phase, claim: WireJoins) -> Wire:
     """Follow the wire of one phase. Where it cannot be mounted or its ends are lost, ``path`` is None and
     ``fault`` says why."""
-    motion, claim = context.motion, phase.claim
+    motion = context.motion
     rows = samples(context, phase)
     missing = [arm for arm in claim.arms if arm not in motion.tcp]
     if not len(rows) or missing:
         fault = f"no program for arm {missing[0]}" if missing else "the wire is never moved"
-        return _lost(context, phase, rows[:0], fault)
+        return _lost(context, phase, claim, rows[:0], fault)
     farthest = float(end_distances(context, phase).max())
     if farthest >= claim.length:
         fault = f"its ends are {farthest * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
-        return _lost(context, phase, rows[:0], fault)
+        return _lost(context, phase, claim, rows[:0], fault)
     at = stations(context, rows, claim.arms)
     start, end = (motion.tcp[arm][at] for arm in claim.arms)
     rod = make_rod(claim)
@@ -126,11 +168,11 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
         first = mount(rod, start[0], end[0], _DOWN)
         path = follow(rod, start, end, _DOWN, first)
     except (RodError, np.linalg.LinAlgError, ValueError) as wrong:
-        return _lost(context, phase, at, str(wrong))
+        return _lost(context, phase, claim, at, str(wrong))
     radius = 0.5 * claim.thickness
     points = context.in_stock(phase.setup, at, path.points)
     depth, inside = depth_in(points, context.stock(phase.setup), radius)
-    cuts = context.setup_claims[phase.setup].cuts(claim.arms)
+    cuts = _cuts(context, phase.setup, claim.arms)
     place = (at, path.points, points, depth, inside, motion.labels(at), cuts)
     return Wire(claim, claim.arms, phase.setup, radius, *place, phase=phase, path=path)
 
@@ -138,7 +180,7 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
 def straight_wire(context: Context, index: int, arm: str, claims: tuple[StraightWire, ...]) -> Wire:
     """The wire of the bow that ``arm`` carries in setup ``index``, over all of that setup."""
     motion, claim = context.motion, claims[0]
-    cuts = context.setup_claims[index].cuts((arm,))
+    cuts = _cuts(context, index, (arm,))
     rows = np.flatnonzero(context.sample_setup == index)
     if arm not in motion.tcp or not len(rows):
         none = np.zeros((0, ROD_SEGMENTS + 1, 3))
@@ -189,10 +231,10 @@ def make_rod(claim: WireJoins) -> Rod:
     return Rod(claim.length, claim.ei_soft, claim.ei_stiff, claim.gj, claim.weight, ROD_SEGMENTS)
 
 
-def _lost(context: Context, phase: Phase, at: IntArray, fault: str) -> Wire:
-    count, claim = len(at), phase.claim
+def _lost(context: Context, phase: Phase, claim: WireJoins, at: IntArray, fault: str) -> Wire:
+    count = len(at)
     none = np.zeros((count, ROD_SEGMENTS + 1, 3))
-    cuts = context.setup_claims[phase.setup].cuts(claim.arms)
+    cuts = _cuts(context, phase.setup, claim.arms)
     away = (np.full(count, -np.inf), none[..., 0] > 0.0, np.full(count, ""), cuts)
     return Wire(
         claim, claim.arms, phase.setup, 0.5 * claim.thickness, at, none, none, *away, fault=fault, phase=phase
@@ -220,7 +262,7 @@ def to_block(points: FloatArray, stock: Stock) -> FloatArray:
 
 def end_distances(context: Context, phase: Phase) -> FloatArray:
     """Distance (S,) [m] of the two ends at every sample of a phase."""
-    a, b = (context.motion.tcp[arm].place[samples(context, phase)] for arm in phase.claim.arms)
+    a, b = (context.motion.tcp[arm].place[samples(context, phase)] for arm in phase.claim.joined_arms)
     return np.asarray(np.linalg.norm(a - b, axis=1))
 
 

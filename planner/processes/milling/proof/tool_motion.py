@@ -12,6 +12,7 @@ import dataclasses
 import functools
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, 
 from planner.processes.milling.proof.following import Followed, follow, rows_to_check
 from planner.processes.milling.proof.wanted_ways import down, up
 from planner.proof.context import Context
+from planner.proof.facts import Fact
 from planner.proof.replay.motion import during
 from planner.proof.replay.tool_track import Spaced, Track
 from planner.runtime.executor import SERIAL, Executor
@@ -183,6 +185,14 @@ class Milling:
             part = slice(first, first + _MAX_PLACES_AT_ONCE)
             own = self.context.motion.looks.row[rows[part]]
             yield part, inverse(self.context.stock_poses(index, own)) @ self.context.motion.poses(arm, own)
+
+
+def _milling(context: Context) -> Milling:
+    return Milling(context, context.motion_executor)
+
+
+MILLING: Final[Fact[Context, Milling]] = Fact("milling", _milling)
+"""The milling of a proof."""
 
 
 SIGHT_DISTANCE = 3e-3

@@ -22,7 +22,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.milling import sentences as milling_sentences
-from planner.processes.milling.claims import Engraves, MillsAlong, MillsProgram, SafeWays, SparesPart
+from planner.processes.milling.claims import MILL, Engraves, MillsAlong, MillsProgram, SafeWays, SparesPart
 from planner.processes.milling.proof import gcode_moves
 from planner.processes.milling.proof.gcode_lines import UnreadableError
 from planner.processes.milling.proof.gcode_moves import Way
@@ -34,7 +34,6 @@ from planner.proof.part_files.drawn_curves import (
     points,
 )
 from planner.proof.part_files.plan_face import Laid, Places
-from planner.proof.setups import MILL
 from planner.tooling import Cutter
 
 LEAST_PLUNGE = 2e-3

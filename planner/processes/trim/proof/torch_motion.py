@@ -7,7 +7,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,11 +15,12 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.issues import Issue
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING
 from planner.processes.milling.proof.tool_motion import Milling
 from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.processes.trim.proof.outlines import TRIM, Curve, Feet, SheetSide
 from planner.proof.context import Context
+from planner.proof.facts import Fact
 from planner.proof.part_files import UnreadError
 from planner.proof.replay.tool_track import Track
 from planner.tooling import Torch
@@ -179,8 +180,8 @@ class TrimWork:
 class Trimming:
     """All claims on trimmed sheets of a proof; ``issues`` says what could not be read."""
 
-    def __init__(self, context: Context, forming: Forming) -> None:
-        self.context = context
+    def __init__(self, context: Context) -> None:
+        self.context, forming = context, context.get(FORMING)
         works, self.issues = list[TrimWork](), list[Issue]()
         for index, setup in enumerate(context.setup_claims):
             for group in setup.groups:
@@ -194,6 +195,10 @@ class Trimming:
                         what = f"part or curves cannot be read a second time: {error}"
                         self.issues.append(Issue("verify.trim_cut", what, field="operations.outlines"))
         self.works = tuple(works)
+
+
+TRIMMING: Final[Fact[Context, Trimming]] = Fact("trimming", Trimming)
+"""The trimming of a proof."""
 
 
 STANDING = 0.05e-3

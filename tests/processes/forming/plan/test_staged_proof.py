@@ -20,11 +20,10 @@ from planner.motion import solve
 from planner.processes import registry
 from planner.processes.forming.claims import FormsInOrder, FormsPart, FormsSheet
 from planner.processes.forming.proof.rules.part import forming_part
-from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.claims import TrimsSheet
 from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.rules.forming_holes import forming_holes
-from planner.processes.trim.proof.torch_motion import Trimming
+from planner.processes.trim.proof.torch_motion import TRIMMING
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from tests.processes.forming.plan.staged import DEPTHS, SUMP_RADIUS, problem
@@ -54,7 +53,7 @@ class Staged:
     def told(self, rule: Any, programs: dict[str, str] | None = None, claims: Claims | None = None) -> str:
         """What one rule says is wrong."""
         context = self.context(programs, claims)
-        return "\n".join(issue.message for issue in rule(context, Forming(context)).issues)
+        return "\n".join(issue.message for issue in rule(context).issues)
 
     def changed(self, operation: str, kind: type, change: Callable[[Any], Any]) -> Claims:
         """The claims with those of a kind of one operation changed, or taken out (None)."""
@@ -79,7 +78,7 @@ def test_the_whole_chain_is_proven(staged: Staged) -> None:
 
 def test_the_proof_takes_later_stages_off_the_sheet_that_is_trimmed(staged: Staged) -> None:
     context = staged.context()
-    (work,) = Trimming(context, Forming(context)).works
+    (work,) = context.get(TRIMMING).works
     middle = work.sheet.at(np.zeros((1, 2)))[0][0, 2]
     assert middle == pytest.approx((1.0 - DEPTHS[0]) * 1e-3, abs=2e-6)
 

@@ -62,8 +62,8 @@ def _told(claim: SparesPart, track: Track) -> list[Any]:
         time=0.1 * np.arange(count),
     )
     milling = _milling(claim, track)
-    context: Any = SimpleNamespace(motion=motion)
-    return list(mill_gouge(context, milling).issues)
+    context: Any = SimpleNamespace(motion=motion, get=lambda fact: milling)
+    return list(mill_gouge(context).issues)
 
 
 def test_the_flat_nose_of_a_leaning_holder_is_named() -> None:

@@ -15,11 +15,11 @@ from planner.languages.writing import write as post
 from planner.motion import solve
 from planner.problem import Problem
 from planner.processes import registry
-from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.proof import outlines
-from planner.processes.trim.proof.torch_motion import Trimming
 from planner.proof.context import Context
-from planner.proof.prove import TRIM_RULES, Prover
+from planner.proof.prove import Prover
+from planner.proof.rule_order import ORDER
+from planner.proof.rule_table import built_in
 from planner.proof.verdict import Proof
 from tests import urdf_text
 from tests.small_forming import CELLS, dish
@@ -148,9 +148,8 @@ class Job:
         """What the rule of that code refuses the programs for; of those on trimming it alone looks."""
         claims, unread = outlines.worked_out(self.prover.claims)
         context = Context(self.problem, claims, programs, unread)
-        own = [rule for rule in TRIM_RULES if rule.code == code]
-        if own and context.playable:
-            issues = own[0](context, Trimming(context, Forming(context))).issues
+        if code in ORDER["slots"] and context.playable:
+            issues = built_in()[code](context).issues
         else:
             issues = self.prove(programs, code).issues
         return [issue for issue in issues if issue.code == code]

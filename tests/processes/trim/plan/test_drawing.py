@@ -12,14 +12,13 @@ import pytest
 
 from planner.issues import Issue, TandemError
 from planner.processes import registry
-from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.claims import TrimsSheet
 from planner.processes.trim.plan.operation import Trim, every_outline
 from planner.processes.trim.proof.outlines import drawn, expanded, order, worked_out
-from planner.processes.trim.proof.torch_motion import Trimming
 from planner.proof.context import Context
 from planner.proof.part_files import UnreadError
-from planner.proof.prove import TRIM_RULES
+from planner.proof.rule_order import ORDER
+from planner.proof.rule_table import built_in
 from tests.processes.trim.plan.small_trim import Job, problem
 from tests.rhino_files import Model
 
@@ -244,6 +243,5 @@ def test_a_drawing_is_planned_and_proven_and_a_curve_that_moves_later_is_told(tm
     cuts(1.0)  # the programs are those of the drawing as it was
     claims, unread = worked_out(planned.prover.claims)
     context = Context(planned.problem, claims, planned.programs, unread)
-    trimming = Trimming(context, Forming(context))
-    codes = {issue.code for rule in TRIM_RULES for issue in rule(context, trimming).issues}
+    codes = {issue.code for code in ORDER["slots"] for issue in built_in()[code](context).issues}
     assert "verify.trim_kept" in codes

@@ -22,7 +22,6 @@ from planner.issues import TandemError
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
-from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.plan.check import gouged
 from planner.processes.trim.plan.cutting import Cutting, shank_body
 from planner.processes.trim.plan.face import Face, lay
@@ -31,7 +30,7 @@ from planner.processes.trim.plan.slots import Wanted
 from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.rules.mill import _beside, trim_mill, trim_spindle
 from planner.processes.trim.proof.rules.slots import trim_cut
-from planner.processes.trim.proof.torch_motion import Trimming
+from planner.processes.trim.proof.torch_motion import TRIMMING, Trimming
 from planner.proof.context import Context
 from planner.proof.prove import Prover
 from planner.proof.rules.power import signals
@@ -324,7 +323,7 @@ def test_a_spindle_of_the_other_controller_is_another_one(job: Job, sync: Any, t
     vars(context)["motion"] = dataclasses.replace(motion, step_time=tuple(steps))
     vars(context)["job"] = dataclasses.replace(context.job, tasks=(other, task))
     context.problem = whole
-    issues = trim_spindle(context, Trimming(context, Forming(context))).issues
+    issues = trim_spindle(context).issues
     assert bool(issues) == told
 
 
@@ -332,7 +331,7 @@ def trimming(job: Job, programs: dict[str, str]) -> tuple[Context, Trimming]:
     """What the rules look at, to be changed."""
     claims, unread = outlines.worked_out(job.prover.claims)
     context = Context(job.problem, claims, programs, unread)
-    return context, Trimming(context, Forming(context))
+    return context, context.get(TRIMMING)
 
 
 def test_what_counts_as_cut_is_asked_to_be_through_the_sheet(job: Job) -> None:
@@ -346,7 +345,7 @@ def test_what_counts_as_cut_is_asked_to_be_through_the_sheet(job: Job) -> None:
     )
     context, made = trimming(job, changed)
     made.works[0].sheet.tolerance = 0.2e-3
-    found = [*trim_cut(context, made).issues, *trim_mill(context, made).issues]
+    found = [*trim_cut(context).issues, *trim_mill(context).issues]
     assert {(issue.code, issue.message.startswith("in trim/round the tip")) for issue in found} == {
         ("verify.trim_mill", True)
     }
@@ -382,7 +381,7 @@ def test_a_cutter_goes_down_no_faster_however_deep_it_may_be(job: Job) -> None:
     at."""
     context, made = trimming(job, in_procedure(job.programs, "trim_round", timed(0.2)))
     made.works[0].claim = dataclasses.replace(made.works[0].claim, height=5e-3)
-    found = trim_mill(context, made).issues
+    found = trim_mill(context).issues
     assert any("deeper than at 2 mm/s" in issue.message for issue in found)
 
 

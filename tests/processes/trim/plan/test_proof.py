@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.processes.forming.proof.state import Forming
 from planner.processes.trim.proof import outlines
 from planner.processes.trim.proof.rules.slots import _closed
-from planner.processes.trim.proof.torch_motion import Trimming, Way
+from planner.processes.trim.proof.torch_motion import TRIMMING, Way
 from planner.proof.context import Context
 from tests.processes.milling.proof.milling_job import in_procedure
 from tests.processes.trim.plan.small_trim import Job
@@ -320,7 +319,7 @@ def test_thin_slots_have_small_joints_and_no_other_ones(
     farther from it than the tolerance of 0.3 mm; of 0.25 mm nothing is left."""
     claims, unread = outlines.worked_out(job.prover.claims)
     context = Context(job.problem, claims, job.programs, unread)
-    (work,) = Trimming(context, Forming(context)).works
+    (work,) = context.get(TRIMMING).works
     work.claim = dataclasses.replace(work.claim, kerf=0.3e-3)
     curve = next(one for one in work.curves if one.one.name == "rim")
     curve.one = dataclasses.replace(curve.one, joints=joints, width=0.5e-3)

@@ -32,7 +32,7 @@ from planner.processes.forming.claims import (
 from planner.processes.forming.proof import accumulative
 from planner.processes.forming.proof.face import CREASE_ANGLE
 from planner.processes.forming.proof.shapes import FLAT_NOISE, Feature, PartShapes, Shape, spread_over
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, mm, rule
 
@@ -78,9 +78,10 @@ _PART_PLACES = 8_000
 
 
 @rule("verify.forming_claims", FormsPart)
-def forming_claims(context: Context, forming: Forming) -> Outcome:
+def forming_claims(context: Context) -> Outcome:
     """What is claimed of each pass follows from the part and the user's numbers: tools, gaps by the sine law,
     borders, feeds, tolerances, ridges, steps of a clamp, and all of the sheet that tools may meet."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, where = -np.inf, ""
     for made, group in forming.parts:

@@ -16,7 +16,7 @@ from planner.issues import Issue
 from planner.processes.forming.claims import FormsLevel, FormsSheet
 from planner.processes.forming.proof import loop_walls, springback_file
 from planner.processes.forming.proof.level import OneLevel
-from planner.processes.forming.proof.state import Formed, Forming
+from planner.processes.forming.proof.state import FORMING, Formed, Forming
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, at_sample, mm, rule
 
@@ -32,10 +32,11 @@ WAY_OFF = 1e-4
 
 
 @rule("verify.level", FormsLevel)
-def level(context: Context, forming: Forming) -> Outcome:
+def level(context: Context) -> Outcome:
     """One level alone is formed, the one that the problem states, between its heights; tools are deeper by
     what its file says, which is of this job and level, within the problem's limits, begins where the level
     before ended, and makes no wall steeper from there than the metal stands."""
+    forming = context.get(FORMING)
     issues: list[Issue] = list(_claimed(context, forming))
     worst, limit, where = 0.0, None, ""
     for one in forming.levels:

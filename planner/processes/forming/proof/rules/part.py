@@ -15,7 +15,7 @@ from planner.geometry.arrays import corners, transform
 from planner.issues import Issue
 from planner.processes.forming.claims import FormsPart, FormsSheet
 from planner.processes.forming.proof.shapes import Feature, PartShapes, Shape, in_order
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
 from planner.proof.part_files.sheets import SLOPE_STEP, scatter, together, tolerance_of
 from planner.proof.rule import Outcome, mm, rule
@@ -61,10 +61,11 @@ SAME_AREA_SHARE = 0.02
 
 
 @rule("verify.forming_part", FormsPart)
-def forming_part(context: Context, forming: Forming) -> Outcome:
+def forming_part(context: Context) -> Outcome:
     """The faces of all passes, of all operations that form some features of it, together make the part and
     nothing else; each feature is formed by the tool on its side, from the level at which the sheet is then,
     in the wanted order, through shapes in between that are as steep as wanted and never beyond the part."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, FACE_ERROR, ""
     last = next((made for made, _ in reversed(forming.parts) if made is not None), None)

@@ -34,7 +34,7 @@ from planner.processes.forming.proof.released import Told
 from planner.processes.forming.proof.shapes import PartShapes
 from planner.processes.forming.proof.springback_bounds import STEP, FilePass
 from planner.processes.forming.proof.springback_file import Control, Measured, Way
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, at_sample, mm, rule
 from planner.tooling import FormingTool
@@ -91,10 +91,11 @@ MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
 
 
 @rule("verify.springback", ComesBack)
-def springback(context: Context, forming: Forming) -> Outcome:
+def springback(context: Context) -> Outcome:
     """Tools that go deeper than the part do so, both alike, as the problem's springback file says; that is of
     this very job, within its limits, makes no wall steeper than the metal stands, and an elastic sheet comes
     back by what it says, at places drawn by lot."""
+    forming = context.get(FORMING)
     issues: list[Issue] = list(_unclaimed(context, forming))
     worst, where = 0.0, ""
     for one in forming.told:

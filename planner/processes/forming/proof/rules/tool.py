@@ -24,11 +24,12 @@ from planner.processes.forming.claims import (
     SinksHolder,
     ToolsLean,
 )
+from planner.processes.forming.proof import swept
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.reached import Depths, largest_step, on_ways, while_forming
-from planner.processes.forming.proof.state import SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
+from planner.processes.forming.proof.state import FORMING, SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
 from planner.processes.forming.proof.steps_down import LOOP_SHARE, emptiest
-from planner.processes.forming.proof.swept import Head, HeadWay, Inside, insides, least, levels
+from planner.processes.forming.proof.swept import ENVELOPES, Head, HeadWay, Inside, insides, least, levels
 from planner.proof.context import Context
 from planner.proof.faces import divided
 from planner.proof.rule import FEED_SLACK, Outcome, at_node, at_sample, mm, rule
@@ -47,9 +48,10 @@ UNREACHED, UNREACHED_SLACK = 1.03, 2e-5
 
 
 @rule("verify.gouge", FormsSheet)
-def gouge(context: Context, forming: Forming) -> Outcome:
+def gouge(context: Context) -> Outcome:
     """At every instant, also on its ways to and from the sheet, the forming ball is on its side of the face
     it forms and of the flat beyond, and cuts into neither by more than the tolerance."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for one in forming.formed:
@@ -81,17 +83,13 @@ def gouge(context: Context, forming: Forming) -> Outcome:
 
 
 @rule("verify.formed", FormsSheet)
-def formed(
-    context: Context, forming: Forming, envelopes: Iterator[CutFace]
-) -> tuple[Outcome, tuple[CutFace, ...]]:
+def formed(context: Context) -> Outcome:
     """The forming ball reaches all of a face but a stated share, within the scallop, goes all around it every
-    stated step, is off it for no more than a tenth of its way, and nothing is formed that is not claimed.
-
-    ``envelopes``: what the ball leaves of each face.
-    """
+    stated step, is off it for no more than a tenth of its way, and nothing is formed that is not claimed."""
+    forming = context.get(FORMING)
     issues = _unclaimed(context, forming)
     faces: list[CutFace] = []
-    for one, face in zip(forming.formed, envelopes, strict=True):
+    for one, face in zip(forming.formed, context.get(ENVELOPES), strict=True):
         claim = one.claim
         faces.append(face)
         limit = forming.unreached(one)
@@ -126,10 +124,18 @@ def formed(
             )
             issues.append(_of_face("verify.formed", what, claim.segment, lifted, LIFTED_SHARE))
     if not faces:
-        return Outcome(tuple(issues), nothing=NOTHING_FORMED), ()
+        return Outcome(tuple(issues), nothing=NOTHING_FORMED, part=swept.obj(forming))
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     share, wanted = 100 * worst.share, 100 * worst.wanted_share
-    return Outcome(tuple(issues), share, wanted, "% within the scallop", worst.title), tuple(faces)
+    return Outcome(
+        tuple(issues),
+        share,
+        wanted,
+        "% within the scallop",
+        worst.title,
+        faces=tuple(faces),
+        part=swept.obj(forming),
+    )
 
 
 def _lifted(one: Formed) -> float:
@@ -156,9 +162,10 @@ def _unclaimed(context: Context, forming: Forming) -> list[Issue]:
 
 
 @rule("verify.feature_order", FormsInOrder)
-def feature_order(context: Context, forming: Forming) -> Outcome:
+def feature_order(context: Context) -> Outcome:
     """The segments that form the sheet come in the order that is claimed, each once, with its own ways in
     and out, and all of them."""
+    forming = context.get(FORMING)
     motion = context.motion
     arm = context.job.tasks[0].arm.name
     issues: list[Issue] = []
@@ -192,8 +199,9 @@ def feature_order(context: Context, forming: Forming) -> Outcome:
 
 
 @rule("verify.forming_feed", FormingFeed)
-def feed(context: Context, forming: Forming) -> Outcome:
+def feed(context: Context) -> Outcome:
     """While they form, the TCPs of all tools move no faster than they may."""
+    forming = context.get(FORMING)
     motion = context.motion
     issues: list[Issue] = []
     worst, where = 0.0, ""
@@ -232,8 +240,9 @@ def feed(context: Context, forming: Forming) -> Outcome:
 
 
 @rule("verify.lean", ToolsLean)
-def lean(context: Context, forming: Forming) -> Outcome:
+def lean(context: Context) -> Outcome:
     """While they form, tools lean from the sheet's normal no farther than the problem lets them."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, 0.0, ""
     claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, ToolsLean)]
@@ -283,10 +292,11 @@ _FACE_PLACES = 60_000
 
 
 @rule("verify.sheet", SheetState)
-def sheet(context: Context, forming: Forming) -> Outcome:
+def sheet(context: Context) -> Outcome:
     """Neither tool has anything inside it of what is formed already, of the walls being formed or of the flat
     sheet around, but for what its own ball forms; the other tool stays on its own side of the face. The
     forming ball goes down level by level, and tools go in and out straight where they begin and end."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     known = {state.segment.key for _, state in forming.states}
@@ -453,9 +463,10 @@ SHOWN_PULSES = 20
 
 
 @rule("verify.holder", SinksHolder)
-def holder(context: Context, forming: Forming) -> Outcome:
+def holder(context: Context) -> Outcome:
     """The signal of a clamp that sinks is pulsed once for each step, within one step of the level that the
     forming tool has reached, and switched at no other time."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, SinksHolder)]
     worst, limit, where = 0.0, None, ""

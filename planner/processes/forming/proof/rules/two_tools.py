@@ -18,9 +18,9 @@ from planner.processes.forming.proof.accumulative import Wanted, Way, wanted_con
 from planner.processes.forming.proof.face import Face, Nearest
 from planner.processes.forming.proof.rules.tool import ISSUES_SHOWN, NOTHING_FORMED, spread
 from planner.processes.forming.proof.state import (
+    FORMING,
     TOUCHED_WITHIN,
     TRACK_CHORD_SHARE,
-    Forming,
     Opened,
     Track,
     pieces,
@@ -35,9 +35,10 @@ BORDER_CUT_IN = 1e-4
 
 
 @rule("verify.gap", ToolGap)
-def gap(context: Context, forming: Forming) -> Outcome:
+def gap(context: Context) -> Outcome:
     """At and between targets the gap between two forming tools is what the sheet between them is wanted to be
     thick, and they face each other as wanted; of two controllers, whichever is a step ahead."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for one in forming.opened:
@@ -226,8 +227,9 @@ def _intervals(context: Context, way: Track, knots: IntArray) -> Iterator[IntArr
 
 
 @rule("verify.border", SupportsBorder)
-def border(context: Context, forming: Forming) -> Outcome:
+def border(context: Context) -> Outcome:
     """The tool that supports a border stays on it within the tolerance, and never cuts across it."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for index, claim in forming.by_setup:
@@ -317,9 +319,10 @@ def _marks(a: FloatArray, b: FloatArray) -> tuple[FloatArray, IntArray]:
 
 
 @rule("verify.opposite", FollowsOpposite)
-def opposite(context: Context, forming: Forming) -> Outcome:
+def opposite(context: Context) -> Outcome:
     """A tool that follows the forming one across the sheet is at the wanted distance, along the face's
     normal, and points at it from between that normal and the vertical."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for index, claim in forming.by_setup:
@@ -386,10 +389,11 @@ WANTED_TURN_SHARE = 0.9
 
 
 @rule("verify.adsif", FormsByTable)
-def by_table(context: Context, forming: Forming) -> Outcome:
+def by_table(context: Context) -> Outcome:
     """In accumulative forming both tools are, at and between targets, where the response table wants them for
     the wall of the wanted face at each place, at the sheet's level, and pass all of it from the inside out;
     on their ways in and out they press into it nowhere else."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for index, claim in forming.by_setup:

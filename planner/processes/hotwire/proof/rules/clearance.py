@@ -7,26 +7,25 @@ import numpy as np
 from planner.cell.clearance import Against, edge
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
-from planner.processes.hotwire.proof.wire_motion import Wire
+from planner.processes.hotwire.proof.wire_motion import WIRES
 from planner.proof.context import Context
+from planner.proof.models import MODELS
 from planner.proof.rule import Outcome, at_sample, mm, rule
-from planner.proof.rules.clearance import Models, accepted
+from planner.proof.rules.clearance import accepted
 
 _NEAR_CLAMP_M = 0.02
 """Length of wire [m] next to a clamp whose distance to that clamp is not checked."""
 
 
-@rule("verify.wire_clearance")
-def wire_bodies(
-    context: Context, models: Models, wires: tuple[Wire, ...]
-) -> tuple[Outcome, list[FloatArray]]:
+@rule("verify.wire_clearance", ahead="wires")
+def wire_bodies(context: Context) -> Outcome:
     """A bent wire keeps clear of everything, but of the stock only where it does not cut."""
-    issues: list[Issue] = []
-    series, least, where = [], np.inf, ""
+    models, issues = context.get(MODELS), list[Issue]()
+    series, least, where = dict[str, FloatArray](), np.inf, ""
     limit = context.problem.settings.clearance
-    for wire in wires:
+    for number, wire in enumerate(context.get(WIRES), 1):
         distance = np.full(len(wire.sample), np.nan)
-        series.append(distance)
+        series[f"wire/{number}/clearance"] = distance
         if wire.path is None:
             continue
         cut = wire.cutting
@@ -62,5 +61,5 @@ def wire_bodies(
             if found.distance[k] < least:
                 least, where = float(found.distance[k]), " and ".join(found.pair[k])
     if not np.isfinite(least):
-        return Outcome(tuple(issues), nothing="no bent wire"), series
-    return Outcome(tuple(issues), mm(least), mm(limit), "mm", where), series
+        return Outcome(tuple(issues), nothing="no bent wire", series=series)
+    return Outcome(tuple(issues), mm(least), mm(limit), "mm", where, series=series)

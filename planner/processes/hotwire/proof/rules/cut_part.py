@@ -7,30 +7,32 @@ from other surfaces, and what has to be cut before what.
 from __future__ import annotations
 
 import dataclasses
+from typing import Final
 
 import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.issues import Issue
-from planner.processes.hotwire.claims import CutsSurface, SlitsAllowed
+from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, SlitsAllowed
 from planner.processes.hotwire.proof.cut_surface import Sweep, cut_face, deepest, part_obj, unreached
 from planner.processes.hotwire.proof.rules.wire import wire_issue
 from planner.processes.hotwire.proof.slits import in_slit, slits
 from planner.processes.hotwire.proof.walls import PartWalls, taken_by_bent, taken_depth, walls
-from planner.processes.hotwire.proof.wire_motion import Wire, end_error, to_block
+from planner.processes.hotwire.proof.wire_motion import WIRES, Wire, end_error, to_block
 from planner.proof.context import Context
+from planner.proof.facts import Fact
 from planner.proof.replay.motion import during, local
 from planner.proof.rule import Outcome, at_sample, mm, rule
 from planner.proof.verdict import CutFace
 
 
-def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
+def sweeps(context: Context) -> tuple[Sweep, ...]:
     """The wire's shapes in the segment of each wanted face."""
-    good = [wire for wire in wires if not wire.fault]
+    good = [wire for wire in context.get(WIRES) if not wire.fault]
     speeds = [local(wire.points, context.motion.time[wire.sample], wire.inside) for wire in good]
     out = []
-    for claim in context.surfaces:
+    for claim in context.of(CutsSurface):
         parts = []
         for wire, speed in zip(good, speeds, strict=True):
             rows = np.flatnonzero(during(wire.labels == claim.segment.key))
@@ -44,14 +46,26 @@ def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
     return tuple(out)
 
 
+def _cut_faces(context: Context) -> tuple[CutFace, ...]:
+    """The faces that wires cut, against the wanted ones."""
+    claims = context.of(CutsSurface)
+    return tuple(
+        _reachable(context, claim, cut_face(claim, row))
+        for claim, row in zip(claims, context.get(SWEEPS), strict=True)
+    )
+
+
+SWEEPS: Final[Fact[Context, tuple[Sweep, ...]]] = Fact("sweeps", sweeps)
+"""The wire's shapes in the segment of each wanted face."""
+CUT_FACES: Final[Fact[Context, tuple[CutFace, ...]]] = Fact("cut faces", _cut_faces)
+"""The faces that wires cut, without the error of the wire's ends."""
+
+
 @rule("verify.surface", CutsSurface)
-def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[CutFace, ...], str]:
+def surface(context: Context) -> Outcome:
     """The cut surface is within tolerance of the wanted one for the wanted share of it, and in that segment
     the wire nowhere runs much deeper into the part."""
-    faces = tuple(
-        _reachable(context, claim, cut_face(claim, row))
-        for claim, row in zip(context.surfaces, rows, strict=True)
-    )
+    rows, faces = context.get(SWEEPS), context.get(CUT_FACES)
     issues = _gouges(context, rows)
     for face in faces:
         if face.share < face.wanted_share:
@@ -85,18 +99,23 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
                 )
             )
     if not faces:
-        return Outcome(nothing="no face is claimed"), (), ""
+        return Outcome(nothing="no face is claimed")
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
-    outcome = Outcome(
-        tuple(issues), 100 * worst.share, 100 * worst.wanted_share, "% within tolerance", worst.title
+    return Outcome(
+        tuple(issues),
+        100 * worst.share,
+        100 * worst.wanted_share,
+        "% within tolerance",
+        worst.title,
+        faces=with_end_error(context, context.get(WIRES), faces),
+        part=part_obj(context.of(CutsSurface), rows, context.of(FollowsRulings)),
     )
-    return outcome, faces, part_obj(context.surfaces, rows, context.rulings)
 
 
 def _reachable(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
     """The face with what a round wire cannot reach of it as good as it can be, where so much of it is off
     that this counts."""
-    ruled = next((one for one in context.rulings if one.segment == claim.segment), None)
+    ruled = next((one for one in context.of(FollowsRulings) if one.segment == claim.segment), None)
     if ruled is None or face.share >= face.wanted_share:
         return face
     # what stands farther than may be left by far is off whatever a wire reaches, and costs a search a point
@@ -114,9 +133,9 @@ def _reachable(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
 def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:
     """Faces into which the wire cuts besides: the nearest sheet of several hides those beneath it. Straight
     wires keep to their rulings all along, which is more."""
-    ruled = {claim.segment.key for claim in context.rulings}
+    ruled = {claim.segment.key for claim in context.of(FollowsRulings)}
     issues = []
-    for claim, sweep in zip(context.surfaces, rows, strict=True):
+    for claim, sweep in zip(context.of(CutsSurface), rows, strict=True):
         if len(sweep.points) < 2 or claim.segment.key in ruled:
             continue
         block = context.stock(context.setup_of(claim))
@@ -156,13 +175,14 @@ def with_end_error(
 
 
 @rule("verify.ridge")
-def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def ridges(context: Context) -> Outcome:
     """No target of a bent wire stands out of the smooth surface that its neighbours make by more than the
     tolerance; a straight one is held against its rulings, which may have edges."""
+    wires = context.get(WIRES)
     issues, worst, limit, where = [], 0.0, None, ""
     nodes = context.motion.node_sample
-    ruled = {claim.segment.key for claim in context.rulings}
-    for claim in context.surfaces:
+    ruled = {claim.segment.key for claim in context.of(FollowsRulings)}
+    for claim in context.of(CutsSurface):
         for wire in wires if claim.segment.key not in ruled else ():
             rows = np.flatnonzero((wire.labels == claim.segment.key) & np.isin(wire.sample, nodes))
             if wire.fault or len(rows) < 5:
@@ -219,15 +239,16 @@ SIDE_DISTANCE = 1e-6
 foam instead of a piece."""
 
 
-@rule("verify.part", CutsSurface, SlitsAllowed)
-def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+@rule("verify.part", CutsSurface, SlitsAllowed, ahead="wires")
+def part(context: Context) -> Outcome:
     """On its ways in and out the wire's slot keeps off the part, within the tolerance, but for one plane
     slit to what the part lies around; sides of the datum block are cut from outside. Beside a surface the
     slot keeps off all the others, those that are cut already and those to come."""
+    wires = context.get(WIRES)
     issues: list[Issue] = []
     worst, where = np.inf, ""
-    own = {claim.segment.key for claim in context.surfaces}
-    wanted = tuple(claim for claim in context.surfaces if not _is_side(context, claim))
+    own = {claim.segment.key for claim in context.of(CutsSurface)}
+    wanted = tuple(claim for claim in context.of(CutsSurface) if not _is_side(context, claim))
     bounds = _Bounds(context, wanted)
     for wire in wires:
         speed: FloatArray | None = None
@@ -242,7 +263,7 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 speed = local(wire.points, context.motion.time[wire.sample], wire.inside)
             points = wire.points[row, column]
             base = Segment.read(label).at("").key
-            cut = next((c for c in context.surfaces if c.segment.key == base), None)
+            cut = next((c for c in context.of(CutsSurface) if c.segment.key == base), None)
             half = np.zeros(len(row)) if cut is None else 0.5 * cut.kerf.at(speed[row, column])
             room, tolerance = bounds.off(points)
             if base in through and base != label:
@@ -264,17 +285,17 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 )
                 measure = (deep, mm(float(tolerance[i])), "mm")
                 issues.append(wire_issue(context, wire, "verify.part", what, int(row[i]), *measure))
-    issues += _beside(context, wires, bounds.walls)
+    issues += _beside(context, bounds.walls)
     if not np.isfinite(worst):
         return Outcome(tuple(issues), nothing="no way in or out in the foam beside the part")
     return Outcome(tuple(issues), mm(worst), 0.0, "mm left", where)
 
 
-def _beside(context: Context, wires: tuple[Wire, ...], part: PartWalls) -> list[Issue]:
+def _beside(context: Context, part: PartWalls) -> list[Issue]:
     """What slots take from other surfaces than those beside which they cut."""
     issues: list[Issue] = []
-    straight = {claim.segment.key for claim in context.rulings}
-    for claim, sweep in zip(context.surfaces, sweeps(context, wires), strict=True):
+    straight = {claim.segment.key for claim in context.of(FollowsRulings)}
+    for claim, sweep in zip(context.of(CutsSurface), context.get(SWEEPS), strict=True):
         if len(sweep.points) < 2:
             continue
         take = taken_depth if claim.segment.key in straight else taken_by_bent
@@ -299,7 +320,7 @@ class _Bounds:
     def __init__(self, context: Context, claims: tuple[CutsSurface, ...]) -> None:
         closed = {
             claim.segment.key
-            for claim in context.rulings
+            for claim in context.of(FollowsRulings)
             if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE_DISTANCE
         }
         self.walls = PartWalls(claims, context.datum.box)

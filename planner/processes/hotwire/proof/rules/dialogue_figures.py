@@ -11,7 +11,7 @@ from planner.issues import Issue
 from planner.processes.hotwire import sentences as hotwire_sentences
 from planner.processes.hotwire.claims import FollowsRulings, WireJoins
 from planner.processes.hotwire.proof.rules.straight_wire import guide_normals, off_guide
-from planner.processes.hotwire.proof.wire_motion import Wire
+from planner.processes.hotwire.proof.wire_motion import WIRES, Wire
 from planner.programs.dialogue_text import tolerance
 from planner.proof.context import Context
 from planner.proof.dialogue import Place, spoken_steps, wanted_dialogue
@@ -32,9 +32,10 @@ SLOT_SHARE = 0.05
 
 
 @rule("verify.dialogue_figures", OperatorDialogue)
-def message_figures(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def message_figures(context: Context) -> Outcome:
     """Figures that the operator is told and that follow from the motion are those of the motion: how far the
     clamps of a bent wire are apart and how it leaves them, how thick spacers are."""
+    wires = context.get(WIRES)
     found, said = wanted_dialogue(context), spoken_steps(context.job)
     issues: list[Issue] = []
     worst = 0.0

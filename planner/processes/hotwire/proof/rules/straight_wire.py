@@ -13,15 +13,22 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse
 from planner.issues import Issue
 from planner.problem import Stock
-from planner.processes.hotwire.claims import FollowsRulings, KerfWithin, LeadsFrom, SlitsAllowed, StraightWire
+from planner.processes.hotwire.claims import (
+    CutsSurface,
+    FollowsRulings,
+    KerfWithin,
+    LeadsFrom,
+    SlitsAllowed,
+    StraightWire,
+)
 from planner.processes.hotwire.proof.cut_surface import unreached
+from planner.processes.hotwire.proof.rules.cut_part import CUT_FACES
 from planner.processes.hotwire.proof.rules.wire import wire_issue
 from planner.processes.hotwire.proof.slits import SLIT_ROUNDING, Slit, off_lead, slits, way_in
-from planner.processes.hotwire.proof.wire_motion import Wire
+from planner.processes.hotwire.proof.wire_motion import WIRES, Wire, straight_claims
 from planner.proof.context import Context
 from planner.proof.replay.motion import during, local
 from planner.proof.rule import FEED_SLACK, Outcome, mm, rule
-from planner.proof.verdict import CutFace
 from planner.tooling import Bow, Tool
 
 CLAMP_ROUNDING = 1e-4
@@ -39,9 +46,10 @@ _PAIRS_AT_ONCE = 400_000
 
 
 @rule("verify.bow", StraightWire)
-def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def bow(context: Context) -> Outcome:
     """Wherever a straight wire is in the foam, both its clamps are outside by the wanted length of wire; it
     is the wire of the bow that is mounted."""
+    wires = context.get(WIRES)
     issues, least, limit = [], np.inf, None
     for wire in wires:
         claim = wire.claim
@@ -50,7 +58,7 @@ def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         if not _is_edge(claim, context.setups[wire.setup].cell.arm(claim.arm).tool):
             what = f"the tool of {claim.arm} in setup {wire.setup + 1} has another wire than the claimed one"
             issues.append(Issue("verify.bow", what, arm=claim.arm))
-        margin = max(c.margin for c in context.setup_claims[wire.setup].straight[claim.arm])
+        margin = max(c.margin for c in straight_claims(context.setup_claims[wire.setup])[claim.arm])
         free = free_lengths(wire.points[:, 0], wire.points[:, -1], context.stock(wire.setup))
         short = free.min(axis=1)
         rows = np.flatnonzero(np.isfinite(short))
@@ -99,11 +107,12 @@ def free_lengths(start: FloatArray, end: FloatArray, stock: Stock) -> FloatArray
 
 
 @rule("verify.kerf", KerfWithin)
-def kerf(context: Context, faces: tuple[CutFace, ...], wires: tuple[Wire, ...]) -> Outcome:
+def kerf(context: Context) -> Outcome:
     """The slot is as wide as wanted wherever the wire passes the part's surface, at its speed there."""
+    faces, wires = context.get(CUT_FACES), context.get(WIRES)
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
-    for claim in context.kerfs:
+    for claim in context.of(KerfWithin):
         passed = [face for face in faces if face.segment.key == claim.segment.key]
         speeds = [face.speed[np.isfinite(face.speed)] for face in passed]
         if not passed:
@@ -140,12 +149,13 @@ def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
 
 
 @rule("verify.rulings", FollowsRulings)
-def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def rulings(context: Context) -> Outcome:
     """All along a ruled surface, at and between targets, the straight wire is half a kerf off both guide
     lines, on their outer side, and passes all of both as near as a round wire can."""
+    wires = context.get(WIRES)
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
-    for claim in context.rulings:
+    for claim in context.of(FollowsRulings):
         label = claim.segment.key
         seen = False
         for wire in wires:
@@ -320,9 +330,10 @@ LEAST_SLIT = 1e-4
 
 
 @rule("verify.slit", SlitsAllowed, LeadsFrom)
-def slit(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def slit(context: Context) -> Outcome:
     """The wire comes to a cut from where the problem says; a slit through the part is one plane for both
     ways, not longer there than it has to be, and takes nothing along other contours."""
+    wires = context.get(WIRES)
     leads = [claim for claim in context.claims if isinstance(claim, LeadsFrom)]
     issues = [issue for claim in leads for issue in _lead(context, wires, claim)]
     worst, where = 0.0, ""
@@ -344,7 +355,7 @@ def slit(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 def _lead(context: Context, wires: tuple[Wire, ...], claim: LeadsFrom) -> Iterator[Issue]:
     """What is wrong with the way in to a cut whose direction is stated."""
-    surface = next((c for c in context.surfaces if c.segment == claim.segment), None)
+    surface = next((c for c in context.of(CutsSurface) if c.segment == claim.segment), None)
     setup = context.setup_of(claim)
     here = [wire for wire in wires if not wire.fault and wire.setup == setup]
     found = False

@@ -12,8 +12,7 @@ from planner.claims.claim import ContactOnlyIn, FeedWindow
 from planner.geometry.arrays import FloatArray, inverse
 from planner.issues import Issue
 from planner.processes.hotwire.claims import WireJoins
-from planner.processes.hotwire.proof.mounting import Phase
-from planner.processes.hotwire.proof.wire_motion import Wire, end_distances
+from planner.processes.hotwire.proof.wire_motion import WIRES, Wire, end_distances, mounted
 from planner.programs.steps import MessageStep, SignalStep, WaitStep
 from planner.proof.context import Context
 from planner.proof.replay import standing
@@ -21,6 +20,7 @@ from planner.proof.replay.motion import steps_across
 from planner.proof.replay.tool_speeds import LEAST_PART, STANDS, tool_speeds
 from planner.proof.rule import FEED_SLACK, Outcome, at_sample, at_step, mm, rule
 from planner.proof.rules.power import all_steps
+from planner.proof.setups import Phase
 
 MOST_RESIDUAL = 1e-6
 """A wire's shape is in balance where no residual of its equations is larger than this."""
@@ -33,8 +33,9 @@ MELTING_DISTANCE = 1e-3
 
 
 @rule("verify.wire_length", WireJoins)
-def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def wire_length(context: Context) -> Outcome:
     """The ends of the wire are never farther apart than it is long, and it can be mounted."""
+    wires = context.get(WIRES)
     issues, worst, where = [], 0.0, ""
     for wire in wires:
         claim = wire.claim
@@ -71,10 +72,9 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     int(np.argmax(wire.path.residual)),
                 )
             )
-    if len(context.phases) < len(context.wires):
-        what = (
-            f"{len(context.wires)} bent wires are claimed; the programs move {len(context.phases)} together"
-        )
+    claimed, there = len(context.of(WireJoins)), len(mounted(context))
+    if there < claimed:
+        what = f"{claimed} bent wires are claimed; the programs move {there} together"
         issues.append(Issue("verify.wire_length", what))
     if not context.phases:
         return Outcome(tuple(issues), nothing="no bent wire")
@@ -82,8 +82,9 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 @rule("verify.wire_stability", WireJoins)
-def wire_stability(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def wire_stability(context: Context) -> Outcome:
     """The wire's shape is stable all along and never snaps to another one."""
+    wires = context.get(WIRES)
     issues, least = [], np.inf
     for wire in wires:
         if wire.path is None:
@@ -118,8 +119,9 @@ def wire_stability(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 @rule("verify.curvature", WireJoins)
-def curvature(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def curvature(context: Context) -> Outcome:
     """The wire is never bent beyond its elastic limit."""
+    wires = context.get(WIRES)
     issues, worst, limit = [], 0.0, np.inf
     for wire in wires:
         if wire.path is None:
@@ -153,9 +155,10 @@ def curvature(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 @rule("verify.contact", ContactOnlyIn)
-def contact(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def contact(context: Context) -> Outcome:
     """The wire touches the stock only in segments that cut, each of them claimed by an operation of its
     setup."""
+    wires = context.get(WIRES)
     issues, worst = [], -np.inf
     for wire in wires:
         other = ~wire.cutting
@@ -175,9 +178,10 @@ def contact(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 @rule("verify.stop_in_foam")
-def stop_in_foam(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def stop_in_foam(context: Context) -> Outcome:
     """The wire never stands still inside the block, or so near to it that it melts foam; nor as good as
     still, where trajectories state velocities."""
+    wires = context.get(WIRES)
     issues = []
     motion = context.motion
     stands = motion.node_stop | standing.standing(context)
@@ -191,9 +195,10 @@ def stop_in_foam(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 @rule("verify.feed", FeedWindow)
-def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def feed(context: Context) -> Outcome:
     """The fastest point of the wire inside the block moves within the feed window; on the cubics of
     trajectories at every instant no faster, by what the tools' speeds there are to their mean."""
+    wires = context.get(WIRES)
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for wire in wires:
@@ -337,9 +342,10 @@ def wire_issue(
 
 
 @rule("verify.wire_power", ContactOnlyIn)
-def wire_power(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def wire_power(context: Context) -> Outcome:
     """The power is on and the wire hot before it touches the block, on until it has left, and off when hands
     are near it."""
+    wires = context.get(WIRES)
     issues: list[Issue] = []
     for wire in wires:
         for claim in context.setup_claims[wire.setup].contacts:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from planner.issues import Issue
 from planner.programs.steps import MoveStep, SignalStep
 from planner.proof.context import Context
+from planner.proof.contribution import edges
 from planner.proof.rule import Outcome, at_step, rule
 
 
@@ -36,11 +37,12 @@ def _moves_with_power(context: Context) -> list[Issue]:
     signals = {claim.signal.lower() for claim in context.contacts}
     issues, on = [], set[str]()
     for number, stage in enumerate(context.job.stages):
-        setup = context.setup_claims[context.spans.of_stage[number]]
+        index = int(context.spans.of_stage[number])
+        setup = context.setup_claims[index]
         lone = not stage.synchronised or stage.is_way
         for task in context.job.tasks:
             arm = task.arm.name
-            edged = arm in setup.straight or bool(setup.mills(arm) or setup.trims(arm))
+            edged = any(not edge.meet for edge in edges(context, index, arm))
             for step in stage.steps[task.name]:
                 if isinstance(step, SignalStep) and step.signal.lower() in signals:
                     name = step.signal.lower()

@@ -18,6 +18,7 @@ from planner.claims.segments import Phase, Segment
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue
 from planner.processes.milling.claims import (
+    MILL,
     Engraves,
     MillsAlong,
     MillsFlank,
@@ -31,6 +32,7 @@ from planner.processes.milling.proof.following import WRITTEN_ROUNDING, Followed
 from planner.processes.milling.proof.surface_passes import OverFace, Way, within
 from planner.processes.milling.proof.tool_motion import (
     BEND_SHARE,
+    MILLING,
     MOST_FACE_POINTS,
     SIGHT_DISTANCE,
     Held,
@@ -50,7 +52,6 @@ from planner.proof.context import Context
 from planner.proof.faces import divided
 from planner.proof.replay.tool_track import Track
 from planner.proof.rule import FEED_SLACK, Outcome, at_node, at_sample, mm, rule
-from planner.proof.setups import MILL
 from planner.proof.verdict import CutFace
 from planner.runtime.executor import SERIAL
 from planner.tooling import Mill
@@ -202,9 +203,10 @@ _GOUGE_SPACING = 1.6
 
 
 @rule("verify.milled", MillsSurface)
-def milled(context: Context, milling: Milling) -> tuple[Outcome, tuple[CutFace, ...]]:
+def milled(context: Context) -> Outcome:
     """The swept cutter makes the wanted surface within the tolerance, but for a stated share of it, with the
     cutter that is mounted, and nothing is milled that is not claimed."""
+    milling = context.get(MILLING)
     issues = _unclaimed(context, milling)
     faces: list[CutFace] = []
     for index, claim in milling.surfaces:
@@ -220,10 +222,10 @@ def milled(context: Context, milling: Milling) -> tuple[Outcome, tuple[CutFace, 
             measure = {"value": 100 * face.share, "limit": 100 * claim.share, "unit": "%"}
             issues.append(Issue("verify.milled", what, field=face.title, **measure))  # type: ignore[arg-type]
     if not faces:
-        return Outcome(tuple(issues), nothing=NOTHING_MILLED), ()
+        return Outcome(tuple(issues), nothing=NOTHING_MILLED)
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     share, wanted = 100 * worst.share, 100 * worst.wanted_share
-    return Outcome(tuple(issues), share, wanted, "% within tolerance", worst.title), tuple(faces)
+    return Outcome(tuple(issues), share, wanted, "% within tolerance", worst.title, faces=tuple(faces))
 
 
 def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
@@ -263,9 +265,10 @@ def _step(solid: Solid, tolerance: float) -> float:
 
 
 @rule("verify.mill_gouge", SparesPart)
-def mill_gouge(context: Context, milling: Milling) -> Outcome:
+def mill_gouge(context: Context) -> Outcome:
     """At every instant, also on its ways in and out, neither cutter nor shank, holder and spindle are in a
     face of the part by more than the tolerance; a cutter that engraves is as deep as wanted."""
+    milling = context.get(MILLING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     asked = [(index, claim, list(_held(milling, index, claim))) for index, claim in milling.spared]
@@ -332,9 +335,10 @@ def _too_many(claim: SparesPart, solid: Solid, count: int, size: float) -> Issue
 
 
 @rule("verify.mill_path", MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
-def mill_path(context: Context, milling: Milling) -> Outcome:
+def mill_path(context: Context) -> Outcome:
     """Tip and axis stay within the tolerances on the way that the G-code file, the curves, the ruled surface
     or the face asks for, all of which is passed, ways in and out too, and mill nothing beside it."""
+    milling = context.get(MILLING)
     issues: list[Issue] = list(context.unread)
     own, worst, where = flanks(context, milling)
     issues += own
@@ -422,9 +426,10 @@ def _same_cutter(milling: Milling, index: int, claim: MillsSurface | SparesPart)
 
 
 @rule("verify.mill_feed", FeedWindow, MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
-def mill_feed(context: Context, milling: Milling) -> Outcome:
+def mill_feed(context: Context) -> Outcome:
     """While it mills, and on its ways in and out, the tip moves no faster than it may at each place of its
     way."""
+    milling = context.get(MILLING)
     motion = context.motion
     issues: list[Issue] = []
     worst, where = 0.0, ""
@@ -477,9 +482,10 @@ def _there(milling: Milling, index: int, segment: Segment, count: int) -> FloatA
 
 
 @rule("verify.spindle", ContactOnlyIn, MillsProgram)
-def spindle(context: Context, milling: Milling) -> Outcome:
+def spindle(context: Context) -> Outcome:
     """The cutter is in the block only while its spindle has been on for long enough, and on segments that
     mill."""
+    milling = context.get(MILLING)
     motion = context.motion
     issues: list[Issue] = []
     seen = False

@@ -17,7 +17,7 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.forming.claims import FormsPart, FormsSheet
 from planner.processes.forming.proof.shapes import PartShapes, Shape
-from planner.processes.forming.proof.state import Formed, Forming, pieces
+from planner.processes.forming.proof.state import FORMING, Formed, Forming, pieces
 from planner.processes.trim.claims import TrimOutline, TrimsSheet
 from planner.processes.trim.proof.outlines import drawn, winding
 from planner.proof.context import Context
@@ -50,10 +50,11 @@ class _Hole:
 
 
 @rule("verify.forming_holes", FormsPart)
-def forming_holes(context: Context, forming: Forming) -> Outcome:
+def forming_holes(context: Context) -> Outcome:
     """What is formed in a sheet that was cut before, and all tools while they form it, stay off each cut, on
     both faces of the sheet, seen along z, by the margin of the problem; nothing is formed inside of one, nor
     where the sheet was cut off its clamp."""
+    forming = context.get(FORMING)
     issues: list[Issue] = []
     worst, limit, where = np.inf, 0.0, ""
     made = {id(group): one for one, group in forming.parts}

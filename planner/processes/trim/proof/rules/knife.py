@@ -23,7 +23,7 @@ from planner.processes.trim.proof.rules.mill import (
     told,
 )
 from planner.processes.trim.proof.rules.slots import ANGLE_ERROR, ISSUES_SHOWN, NOTHING_TRIMMED, every
-from planner.processes.trim.proof.torch_motion import PLACE_ERROR, Trimming, TrimWork
+from planner.processes.trim.proof.torch_motion import PLACE_ERROR, TRIMMING, TrimWork
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, mm, rule
 
@@ -34,10 +34,11 @@ STILL = 0.02e-3
 
 
 @rule("verify.trim_knife", TrimsSheet)
-def trim_knife(context: Context, trimming: Trimming) -> Outcome:
+def trim_knife(context: Context) -> Outcome:
     """Wherever a knife is in the sheet it stands along its curve within what it may, its edge ahead; where it
     goes on its tip is through the sheet as far as wanted, and it leans no farther than its cone. It goes in
     along its axis no faster than it may, not turned, and comes out so: at sharp corners it is lifted."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     worst, where = -np.inf, ""
     for work, _, key, way in every(trimming):

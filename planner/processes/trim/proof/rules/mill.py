@@ -18,7 +18,15 @@ from planner.issues import Issue
 from planner.processes.trim.claims import TrimCutter, TrimsSheet
 from planner.processes.trim.proof.outlines import TRIM, Curve
 from planner.processes.trim.proof.rules.slots import ANGLE_ERROR, ISSUES_SHOWN, NOTHING_TRIMMED, every
-from planner.processes.trim.proof.torch_motion import PLACE_ERROR, Trimming, TrimWork, Way, behind, cylinder
+from planner.processes.trim.proof.torch_motion import (
+    PLACE_ERROR,
+    TRIMMING,
+    Trimming,
+    TrimWork,
+    Way,
+    behind,
+    cylinder,
+)
 from planner.proof.context import Context
 from planner.proof.rule import FEED_SLACK, Outcome, at_sample, mm, rule
 
@@ -37,10 +45,11 @@ START_SHARE = 0.5
 
 
 @rule("verify.trim_mill", TrimsSheet)
-def trim_mill(context: Context, trimming: Trimming) -> Outcome:
+def trim_mill(context: Context) -> Outcome:
     """Along its outline the tip of a mill is through the sheet as far as wanted, and the cutter leans no
     farther than its cone; it goes into the waste, far enough off all curves, no faster than it may, comes out
     along its axis, and cuts nothing of the part where that is bent."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     worst, where = -np.inf, ""
     for work, curve, key, way in every(trimming):
@@ -249,9 +258,10 @@ def _dies(context: Context, trimming: Trimming) -> Iterator[Issue]:
 
 
 @rule("verify.trim_spindle", TrimsSheet)
-def trim_spindle(context: Context, trimming: Trimming) -> Outcome:
+def trim_spindle(context: Context) -> Outcome:
     """A mill or a knife is in the sheet only in its slots and on its ways out of them, and only while its
     spindle or drive, if it has one, has been on for long enough."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     count = 0
     for work in trimming.works:

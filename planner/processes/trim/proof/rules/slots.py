@@ -24,6 +24,7 @@ from planner.processes.trim.proof.torch_motion import (
     PLACE_ERROR,
     PLACE_STEP,
     STANDING,
+    TRIMMING,
     Trimming,
     TrimWork,
     Way,
@@ -74,10 +75,11 @@ ISSUES_SHOWN = 20
 
 
 @rule("verify.trim_cut", TrimsSheet)
-def trim_cut(context: Context, trimming: Trimming) -> Outcome:
+def trim_cut(context: Context) -> Outcome:
     """Each outline, as the proof reads it and the part once more, is cut all the way round with the slot's
     edge within the tolerance of it, but for as many micro-joints as wanted, as wide as wanted; nothing else
     is trimmed."""
+    trimming = context.get(TRIMMING)
     issues = [*trimming.issues, *(i for i in context.unread if i.code == "verify.trim_cut")]
     issues += _unclaimed(context, trimming)
     worst, limit, where = -np.inf, None, ""
@@ -246,10 +248,11 @@ def _unclaimed(context: Context, trimming: Trimming) -> Iterator[Issue]:
 
 
 @rule("verify.trim_kept", TrimsSheet)
-def trim_kept(context: Context, trimming: Trimming) -> Outcome:
+def trim_kept(context: Context) -> Outcome:
     """What must stay stays: the slot of a tool, with its pierce point and its ways in and out, lies in what
     its outline lets drop, and reaches no farther over the outline than the tolerance, of a knife also past
     sharp corners by what is stated."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for work, curve, key, way in every(trimming):
@@ -304,9 +307,10 @@ def _sliced_off(
 
 
 @rule("verify.trim_torch", TrimsSheet)
-def trim_torch(context: Context, trimming: Trimming) -> Outcome:
+def trim_torch(context: Context) -> Outcome:
     """While it cuts the nozzle is off the sheet by its stand-off within the tolerance, no higher than its
     pierce height where it leads in, and the torch leans off the sheet's normal no farther than its cone."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     worst, where = 0.0, ""
     for work, _, key, way in every(trimming):
@@ -347,10 +351,11 @@ def trim_torch(context: Context, trimming: Trimming) -> Outcome:
 
 
 @rule("verify.trim_arc", TrimsSheet)
-def trim_arc(context: Context, trimming: Trimming) -> Outcome:
+def trim_arc(context: Context) -> Outcome:
     """The arc starts with the torch at rest in the waste, far enough off all curves, and the program then
     waits for it, no longer than it may; it burns all along its slot and nowhere else. A program of UR watches
     all along that it does, and ends where it does not, or the torch stands."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     count = 0
     torches = [work for work in trimming.works if work.claim.torch is not None]
@@ -509,8 +514,9 @@ def _watched(task: TaskText, lit: Step, guard: GuardStep | None, work: TrimWork)
 
 
 @rule("verify.trim_order", TrimsSheet)
-def trim_order(context: Context, trimming: Trimming) -> Outcome:
+def trim_order(context: Context) -> Outcome:
     """An outline that lies in another one is wholly cut before that is begun, which would let it move."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     pairs = 0
     for work in trimming.works:
@@ -532,10 +538,11 @@ def trim_order(context: Context, trimming: Trimming) -> Outcome:
 
 
 @rule("verify.trim_feed", TrimsSheet)
-def trim_feed(context: Context, trimming: Trimming) -> Outcome:
+def trim_feed(context: Context) -> Outcome:
     """While it cuts the tool goes no faster than its feed over the cosine of the wall's angle, by the
     thickness that the sine law leaves there, and on average, but for a knife, no slower than the wanted share
     of that; a torch is nowhere much slower, where it would burn away more than its slot."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     worst, where = 0.0, ""
     for work, _, key, _way in every(trimming):
@@ -603,9 +610,10 @@ def _lingers(context: Context, work: TrimWork, key: str) -> Iterator[Issue]:
 
 
 @rule("verify.trim_clear", TrimsSheet)
-def trim_clear(context: Context, trimming: Trimming) -> Outcome:
+def trim_clear(context: Context) -> Outcome:
     """The tool that is mounted is the claimed one, and in slots and on the ways to them and from them no part
     of it, of a mill or a knife none that does not cut, is nearer to the formed sheet than it may be."""
+    trimming = context.get(TRIMMING)
     issues: list[Issue] = []
     worst, limit, where = np.inf, None, ""
     for work in trimming.works:

@@ -74,7 +74,7 @@ def file(folder: Path) -> Iterator[Path]:
 
 
 def messages(context: Context) -> list[str]:
-    return [issue.message for issue in forming_level.level(context, Forming(context)).issues]
+    return [issue.message for issue in forming_level.level(context).issues]
 
 
 def test_one_level_is_planned_and_proven_alone(outcome: Outcome) -> None:
@@ -139,13 +139,12 @@ def tasks(outcome: Outcome) -> tuple[str, ...]:
 
 def broken(outcome: Outcome, texts: Mapping[str, str]) -> set[str]:
     found = context_of(outcome, texts)
-    forming = Forming(found)
     rules: tuple[Callable[..., Any], ...] = (
         forming_level.level,
         tool.gouge,
         two_tools.gap,
     )
-    return {issue.code for rule in rules for issue in rule(found, forming).issues}
+    return {issue.code for rule in rules for issue in rule(found).issues}
 
 
 def into_the_middle(texts: Mapping[str, str], task: str, way: str, z: float) -> dict[str, str]:
@@ -162,7 +161,7 @@ def into_the_middle(texts: Mapping[str, str], task: str, way: str, z: float) -> 
 
 
 def test_tools_of_an_honest_plan_are_not_pushed_through_the_sheet(context: Context) -> None:
-    assert tool.sheet(context, Forming(context)).issues == ()
+    assert tool.sheet(context).issues == ()
 
 
 @pytest.mark.parametrize(
@@ -173,7 +172,7 @@ def test_tools_on_their_ways_are_not_pushed_through_the_sheet(
 ) -> None:
     """In the middle the sheet is where the level before has left it, whatever it is to become."""
     bad = context_of(outcome, into_the_middle(outcome.programs, tasks(outcome)[arm], way, z))
-    found = [issue.message for issue in tool.sheet(bad, Forming(bad)).issues]
+    found = [issue.message for issue in tool.sheet(bad).issues]
     assert any("deeper than the sheet is formed by then" in what for what in found), found
 
 

@@ -24,7 +24,7 @@ from planner.processes import registry
 from planner.processes.forming.claims import ComesBack
 from planner.processes.forming.proof import elastic, released, springback_bounds, springback_file
 from planner.processes.forming.proof.rules import springback, tool, two_tools
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
 from tests import small_forming
 from tests.processes.forming.plan.springback import springback_files as files
@@ -79,7 +79,7 @@ _unlike_a_sheet = {"forces_n": [0.0, 499.0, 501.0], "displacements_mm": [0.0, 1e
 
 
 def messages(context: Context) -> list[str]:
-    return [issue.message for issue in springback.springback(context, Forming(context)).issues]
+    return [issue.message for issue in springback.springback(context).issues]
 
 
 def passes_of(context: Context, forming: Forming) -> list[springback_bounds.FilePass]:
@@ -99,7 +99,7 @@ def test_what_is_planned_is_proven_and_five_points_are_solved_again(outcome: Out
 
 
 def test_the_tools_are_deeper_and_the_released_ones_are_on_the_part(context: Context) -> None:
-    forming = Forming(context)
+    forming = context.get(FORMING)
     (one,) = forming.formed
     assert one.track.lifted is not None
     assert one.track.aside is not None
@@ -108,7 +108,7 @@ def test_the_tools_are_deeper_and_the_released_ones_are_on_the_part(context: Con
     deep = one.track.commanded(0, slice(None))
     np.testing.assert_allclose(one.track.centre[:, 0][:, 2] - deep[:, 2], one.track.lifted, atol=1e-12)
     plain = Context(context.problem, _without_claim(context), context.programs)
-    assert len(tool.gouge(plain, Forming(plain)).issues) > 0
+    assert len(tool.gouge(plain).issues) > 0
 
 
 def _without_claim(context: Context) -> Mapping[str, Any]:
@@ -165,9 +165,9 @@ def tasks(outcome: Outcome) -> tuple[str, str]:
 
 def broken(outcome: Outcome, texts: Mapping[str, str]) -> set[str]:
     found = Context(outcome.problem, claims_of(outcome), texts)
-    forming = Forming(found)
+    forming = found.get(FORMING)
     rules: tuple[Callable[..., Any], ...] = (tool.gouge, two_tools.gap)
-    out = {issue.code for rule in rules for issue in rule(found, forming).issues}
+    out = {issue.code for rule in rules for issue in rule(found).issues}
     way = springback._way(found, forming, forming.told[0])
     return out | {issue.code for issue in way}
 
@@ -398,7 +398,7 @@ def test_a_way_out_that_presses_into_the_flat_sheet_is_found(context: Context) -
     assert z > 4.935 and np.hypot(x, y) < 40.0
     out[name] = head + mark + body.replace(line, beside) + end + tail
     bad = Context(context.problem, context.by_operation, out)
-    (gouge, *_) = tool.gouge(bad, Forming(bad)).issues
+    (gouge, *_) = tool.gouge(bad).issues
     assert "flat sheet" in gouge.message
 
 

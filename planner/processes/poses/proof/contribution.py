@@ -1,0 +1,10 @@
+"""What given poses contribute to the proof."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from planner.processes.poses.proof.rules import given_poses
+from planner.proof.contribution import ProofOfProcess
+
+PROOF: Final = ProofOfProcess(rules=(given_poses.follows,))

@@ -1,0 +1,32 @@
+"""What trimming contributes to the proof."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from planner.claims.claim import Claim
+from planner.claims.segments import Segment
+from planner.processes.trim.claims import TrimsSheet, slot_names
+from planner.processes.trim.proof import outlines
+from planner.processes.trim.proof.rules import forming_holes, knife, mill, slots
+from planner.proof.contribution import Edges, ProofOfProcess
+
+
+def edges(group: Sequence[Claim], arm: str) -> Edges | None:
+    """A tool that trims is near to the sheet in its slots, with their ways in and out."""
+    claims = [claim for claim in group if isinstance(claim, TrimsSheet) and claim.arm == arm]
+    names = [name for claim in claims for one in claim.outlines for name in slot_names(claim, one)]
+    segments = frozenset(part.key for name in names for part in Segment("trim", name).ways)
+    return Edges(segments) if segments else None
+
+
+PROOF: Final = ProofOfProcess(
+    rules=(
+        *(slots.trim_cut, slots.trim_kept, slots.trim_torch, slots.trim_arc, slots.trim_order),
+        *(slots.trim_feed, slots.trim_clear, mill.trim_mill, mill.trim_spindle, knife.trim_knife),
+        forming_holes.forming_holes,
+    ),
+    complete=outlines.worked_out,
+    edges=edges,
+)

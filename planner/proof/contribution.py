@@ -1,0 +1,109 @@
+"""What processes and languages contribute to the proof."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final
+
+from planner.claims.claim import Claim
+from planner.issues import Issue, TandemError
+from planner.problem import Problem
+from planner.proof.context import Context
+from planner.proof.facts import Fact
+from planner.proof.part_files.made import MadeSheet, MadeSurfaces
+from planner.proof.rule import Rule
+from planner.proof.rule_order import Stage
+from planner.runtime import plugins
+from planner.runtime.plugins import PluginError, Process
+
+Claims = Mapping[str, tuple[Claim, ...]]
+"""Claims by the name of their operation."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Edges:
+    """Where the working end of an arm's tool may touch the stock.
+
+    Attributes:
+        segments: Keys of the segments.
+        meet: Whether the working ends of two arms may touch one another there, too.
+    """
+
+    segments: frozenset[str]
+    meet: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Ahead:
+    """Rules that another process may examine while this one examines those before them.
+
+    Attributes:
+        name: Name of the group. Rules name it in :attr:`planner.proof.rule.Rule.ahead`.
+        stage: Stage at whose beginning the group is submitted.
+        useful: Whether the rules have work to do. If not, they run where they stand in the order.
+    """
+
+    name: str
+    stage: Stage
+    useful: Callable[[Context], bool]
+
+
+@dataclasses.dataclass(frozen=True)
+class ProofOfProcess:
+    """The part of the proof that knows a process.
+
+    Attributes:
+        rules: The rules. Their order is in :mod:`planner.proof.rule_order`.
+        complete: Reads the files that claims name. It takes all claims, and returns them with what the files
+            say, and the issues of reading them.
+        edges: Where the working end of an arm's tool may touch the stock, according to the claims of one
+            operation. None if the claims give the arm no tool of this process.
+        begin: Facts to build at the beginning of a stage, because another process can work on them meanwhile.
+        release: Facts to drop after a rule, by its code.
+        ahead: Groups of rules that may be examined in another process.
+        made_surfaces: Surfaces that the process makes of blocks.
+        made_sheet: What the process makes of the sheet of a part file; None if nothing.
+        series: Curves for the report, by name, as far as the facts they need have been built.
+    """
+
+    rules: tuple[Rule, ...]
+    complete: Callable[[Claims], tuple[Claims, tuple[Issue, ...]]] | None = None
+    edges: Callable[[Sequence[Claim], str], Edges | None] | None = None
+    begin: Mapping[Stage, tuple[Fact[Context, Any], ...]] = dataclasses.field(default_factory=dict)
+    release: Mapping[str, tuple[Fact[Context, Any], ...]] = dataclasses.field(default_factory=dict)
+    ahead: tuple[Ahead, ...] = ()
+    made_surfaces: MadeSurfaces | None = None
+    made_sheet: Callable[[Context, Any], MadeSheet | None] | None = None
+    series: Callable[[Context], Mapping[str, Any]] | None = None
+
+
+def of_processes(problem: Problem | None = None) -> tuple[ProofOfProcess, ...]:
+    """Return the contributions of Tandem's processes, and of the other processes that a problem uses.
+
+    Raises:
+        TandemError: The contribution of an installed package cannot be imported
+            (``problem.process_package``).
+    """
+    used = frozenset(operation.process for operation in problem.operations) if problem else frozenset[str]()
+    try:
+        return tuple(plugins.parts(Process, "proof", ProofOfProcess, used))
+    except PluginError as error:
+        what = f"the proof of a process {error}; mend or uninstall its package"
+        raise TandemError(Issue("problem.process_package", what)) from error
+
+
+NO_EDGES: Final = frozenset[str]()
+"""No segments."""
+
+
+def edges(context: Context, index: int, arm: str) -> tuple[Edges, ...]:
+    """Find where the working end of an arm's tool may touch the stock in setup ``index``."""
+    groups = context.setup_claims[index].groups
+    found = (one.edges(group, arm) for one in of_processes(context.problem) if one.edges for group in groups)
+    return tuple(edge for edge in found if edge is not None)
+
+
+def segments_of(some: Iterable[Edges], meet: bool) -> frozenset[str]:
+    """Return the keys of all segments of edges that may, or may not, meet one another."""
+    return NO_EDGES.union(*(edge.segments for edge in some if edge.meet is meet))

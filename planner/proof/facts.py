@@ -1,0 +1,77 @@
+"""Facts: what rules share, built once in a proof, on first use.
+
+>>> TRACKS: Final = Fact("tracks", build_tracks)  # in a process: a function of the context
+>>> tracks = context.get(TRACKS)  # in a rule: built once, typed
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+Subject = TypeVar("Subject", contravariant=True)
+T_co = TypeVar("T_co", covariant=True)
+T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fact(Generic[Subject, T_co]):
+    """Something that follows from a proof's context.
+
+    Attributes:
+        name: Name of the fact, one of its own.
+        build: Builds the fact from the context.
+        sent: Whether the fact goes along when the context is sent to another process. If not, it is built
+            anew there if a rule needs it.
+        lasting: Whether the fact stays the same when the context is replaced by one with less room.
+    """
+
+    name: str
+    build: Callable[[Subject], T_co]
+    sent: bool = False
+    lasting: bool = False
+
+
+class Facts(Generic[Subject]):
+    """The facts of one context. Facts that are built from one another must not form a circle."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, tuple[Fact[Subject, Any], Any]] = {}
+
+    def get(self, fact: Fact[Subject, T], subject: Subject) -> T:
+        """Return a fact. Build it if this is its first use."""
+        if fact.name not in self._values:
+            self._values[fact.name] = fact, fact.build(subject)
+        value: T = self._values[fact.name][1]
+        return value
+
+    def put(self, fact: Fact[Subject, T], value: T) -> None:
+        """State a fact that was built elsewhere."""
+        self._values[fact.name] = fact, value
+
+    def release(self, fact: Fact[Subject, Any]) -> None:
+        """Drop a fact, so that its memory becomes free."""
+        self._values.pop(fact.name, None)
+
+    def lasting(self) -> Facts[Subject]:
+        """Return only the facts that are marked as ``lasting``."""
+        out: Facts[Subject] = Facts()
+        out._values = {name: (fact, value) for name, (fact, value) in self._values.items() if fact.lasting}
+        return out
+
+    def __contains__(self, fact: Fact[Subject, Any]) -> bool:
+        """Whether a fact has been built."""
+        return fact.name in self._values
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Send only facts that are marked as ``sent``. Functions do not go along."""
+        return {name: value for name, (fact, value) in self._values.items() if fact.sent}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        unknown: Callable[[Any], Any] = _unknown
+        self._values = {name: (Fact(name, unknown, sent=True), value) for name, value in state.items()}
+
+
+def _unknown(subject: Any) -> Any:
+    raise LookupError("a fact that was sent is never built")

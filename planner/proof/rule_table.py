@@ -1,0 +1,112 @@
+"""All rules in their order: those that hold for any motion, and those of processes and languages."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from planner.issues import Issue, TandemError
+from planner.languages.krl.rules import moves as krl_moves
+from planner.languages.krl.rules import spline
+from planner.languages.rapid.rules import confdata
+from planner.languages.rapid.rules import settings as rapid_settings
+from planner.languages.trajectories.rules import trajectories
+from planner.problem import Problem
+from planner.proof.contribution import Ahead, of_processes
+from planner.proof.rule import Rule
+from planner.proof.rule_order import ORDER, Stage
+from planner.proof.rules import (
+    arm_sag,
+    block_support,
+    clearance,
+    controller_files,
+    dialogue,
+    external_axes,
+    handshake,
+    moves,
+    order,
+    part_file,
+    power,
+    robot_motion,
+    setups_and_frames,
+    synchronisation,
+    text,
+    track_along,
+    track_way,
+    waiting_time,
+)
+
+GENERAL: Final[tuple[Rule, ...]] = (
+    *(text.syntax, text.declarations, text.persistents, text.names, text.line_lengths, text.module_size),
+    *(text.decimals, text.files, text.digest),
+    *(robot_motion.robot_model, robot_motion.reach, robot_motion.corners, robot_motion.continuity),
+    *(robot_motion.joint_limits, robot_motion.rod_limits, robot_motion.joint_speed),
+    *(robot_motion.joint_acceleration, robot_motion.singularity, robot_motion.tcp_speed),
+    robot_motion.kinematics,
+    *(synchronisation.task_list, synchronisation.sync_order, synchronisation.move_count),
+    *(synchronisation.move_ids, synchronisation.zone_kind, synchronisation.move_time),
+    *(synchronisation.speed_data, synchronisation.arms_alone, synchronisation.stop_before_logic),
+    *(handshake.handshake, waiting_time.meeting_time, waiting_time.power_idle),
+    *(controller_files.cell_check, controller_files.controller_files),
+    *(setups_and_frames.setup, setups_and_frames.tool_data, setups_and_frames.work_object),
+    *(setups_and_frames.held_frame, setups_and_frames.load, setups_and_frames.base_frames),
+    *(dialogue.messages_and_questions, power.signals, block_support.rests, external_axes.external_axes),
+    *(moves.move_kinds, moves.unknown_start, moves.zone_size, moves.zero_length),
+    *(arm_sag.sag, track_along.track_along, order.order, part_file.part_file),
+    *(clearance.bodies, clearance.own_bodies, clearance.step_apart, track_way.track_way),
+)
+"""Rules that hold for any motion."""
+BODIES: Final = Ahead("bodies", "sheets", lambda context: not context.long)
+"""The rules on the bodies of the cell, which need no fact of a process."""
+
+
+def _of_languages() -> tuple[Rule, ...]:
+    return (
+        *(rapid_settings.error_handler, rapid_settings.undo, rapid_settings.motion_settings),
+        *(rapid_settings.hidden, confdata.confdata, krl_moves.status, spline.spline),
+        *(trajectories.start_posture, trajectories.goal_tolerances, trajectories.power_on_failure),
+        trajectories.between_points,
+    )
+
+
+def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
+    """Return all rules that may apply to a problem, in no order."""
+    own = (rule for one in of_processes(problem) for rule in one.rules)
+    return tuple(dict.fromkeys((*GENERAL, *_of_languages(), *own)))
+
+
+def by_stage(rules: Iterable[Rule]) -> Mapping[Stage, tuple[Rule, ...]]:
+    """Put rules into their order.
+
+    Raises:
+        TandemError: Two rules have the same code, or a rule of Tandem is missing (``internal.error``).
+    """
+    found: dict[str, Rule] = {}
+    for rule in rules:
+        if found.setdefault(rule.code, rule) is not rule:
+            raise TandemError(Issue("internal.error", f"two rules have the code {rule.code}"))
+    listed = {code for codes in ORDER.values() for code in codes}
+    missing = sorted(listed - found.keys())
+    if missing:
+        raise TandemError(Issue("internal.error", f"there is no rule for {', '.join(missing)}"))
+    added = [rule for code, rule in found.items() if code not in listed]
+    return {
+        stage: (*(found[code] for code in codes), *(rule for rule in added if rule.stage == stage))
+        for stage, codes in ORDER.items()
+    }
+
+
+@functools.cache
+def built_in() -> Mapping[str, Rule]:
+    """Return the rules of Tandem by code, in their order."""
+    return {rule.code: rule for rules in by_stage(rules_of()).values() for rule in rules}
+
+
+def proven_by(rules: Iterable[Rule]) -> Mapping[type, tuple[str, ...]]:
+    """Return the codes of the rules that prove each kind of claim."""
+    out: dict[type, tuple[str, ...]] = {}
+    for rule in rules:
+        for kind in rule.proves:
+            out[kind] = (*out.get(kind, ()), rule.code)
+    return out
