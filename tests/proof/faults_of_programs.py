@@ -374,7 +374,7 @@ URSCRIPT: Final = (
         "ur_no_wait",
         "handshake_ur",
         {
-            "languages.writing.handshake:Partner.watched_meeting": result(
+            "languages.urscript.writer.program:watched_meeting": result(
                 lambda both: tuple(map(_no_wait, both))
             )
         },

@@ -156,7 +156,7 @@ def sized(folder: Path, data: Any) -> list[Issue]:
     """What is told of programs of so many bytes that are parted into so many problems."""
     plan, problem = kuka()
     text = {"left/test.src": "x" * (data["bytes"] // data["problems"])}
-    return list(krl_files.notes(build(plan, problem), plan, problem, text))
+    return list(krl_files.notes(build(plan, problem).tasks, plan, problem, text))
 
 
 def made(code: str, own: Callable[..., Any], given: Mapping[str, Any], says: str, remedy: Any) -> Row:

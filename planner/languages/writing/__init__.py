@@ -1,1 +1,1 @@
-"""What the writers of all languages share: steps, layout, handshake, and the entry point `write`."""
+"""What writers of all languages share: `Writer`, steps, layout, handshake, and the entry point `write`."""

@@ -29,18 +29,14 @@ import numpy as np
 
 from planner.claims import sentences
 from planner.claims.handshake import Handshake, SignalWire
+from planner.claims.sentences import Sentence
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, Severity
-from planner.languages.krl import sentences as krl_sentences
-from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.writing.layout import (
     TIME_DECIMALS,
-    Do,
     Drift,
     Job,
-    Meet,
     OperationProgram,
-    Run,
     TaskProgram,
 )
 from planner.plans import Plan
@@ -243,20 +239,6 @@ def drift_sentence(drift: Drift) -> str:
     )
 
 
-def asking(task: TaskProgram) -> frozenset[int]:
-    """Numbers of the meetings behind which, before the next one, a task's program asks somebody something."""
-    out, number = set[int](), 1
-    for operation in task.operations:
-        for step in operation.steps:
-            if isinstance(step, Meet):
-                number = step.number
-            elif isinstance(step, Run):
-                number = int(operation.meets[step.first : step.last].max(initial=number))
-            elif isinstance(step, Do) and step.action.kind == "confirm":
-                out.add(number)
-    return frozenset(out)
-
-
 PARTNER_STANDS: Final = "The program of arm {other} does not run: {input} is 0."
 """Shown while a program waits for the other one to run."""
 PARTNER_RUNS: Final = "Stop the program of arm {other}: {input} is 1. If it stands, the wire is stuck."
@@ -342,13 +324,7 @@ class Note:
     text: str
 
 
-@dataclasses.dataclass(frozen=True)
-class Watch:
-    """From here on the program itself watches the other one's running wire, where no controller does."""
-
-
 PartnerStep = SetLine | AwaitLine | AwaitRunning | Halt | Ask | Tell | Note
-WatchedStep = PartnerStep | Watch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -373,25 +349,6 @@ class Partner:
         """Levels that the lines take, one after the other, at the meeting ``number`` [from 1]."""
         return (number % 2,) if self.handshake.kind == "toggle" else (1, 0)
 
-    def held(self, asked: frozenset[int]) -> frozenset[int]:
-        """Meetings in the middle of which the other program asks somebody; ``asked``: those behind which it
-        does. This one's line is 1 meanwhile: it waits where its own line rose, for the other one to go on."""
-        return frozenset(number + 1 if self.lead else number for number in asked)
-
-    def watched_meeting(
-        self, number: int, wait: float, held: float = 0.0
-    ) -> tuple[list[WatchedStep], list[WatchedStep]]:
-        """The steps of a meeting of a program that watches the other one by itself: up to where both lines
-        have been seen to rise (of the lead) or the other one's has (of who follows), and those behind.
-
-        ``held`` [s]: how long the other program may ask somebody in the middle, where that is longer.
-        """
-        first: list[WatchedStep] = [AwaitRunning(1, wait)]
-        if self.lead:
-            out: list[WatchedStep] = [*first, SetLine(1), AwaitLine(1, max(wait, held)), Watch()]
-            return out, [SetLine(0), AwaitLine(0, wait)]
-        return [*first, AwaitLine(1, wait)], [SetLine(1), AwaitLine(0, max(wait, held)), Watch(), SetLine(0)]
-
     def meeting(self, number: int, wait: float) -> list[PartnerStep]:
         """The steps of a meeting, which waits ``wait`` [s] at most: the other program runs, the lines."""
         out: list[PartnerStep] = [AwaitRunning(1, wait)]
@@ -413,15 +370,17 @@ class Partner:
         numbers = np.concatenate([operation.meets for operation in task.operations])
         return {self.phases(n): n for n in np.unique(numbers[numbers > 0]).tolist()}
 
-    def start(self, ask: str, ok: str = "") -> list[PartnerStep]:
-        """What the program begins with: lines down and seen so, the other program seen to stand, then to run,
-        first meeting.
+    def start(self, earlier: Sentence, ask: str) -> list[PartnerStep]:
+        """Return what the program begins with: lines down and seen so, the other program seen to stand, then
+        to run, first meeting.
 
-        ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
+        Args:
+            earlier: Question whether the other arm's program still runs.
+            ask: The lead's question before the start.
         """
-        earlier = f"{krl_sentences.KRL_EARLIER.filled(other=self.other)} {ok}"
         limit = self.handshake.timeout
-        out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0), AwaitRunning(0, limit)]
+        first = Ask(earlier.filled(other=self.other))
+        out: list[PartnerStep] = [first, SetLine(0), AwaitRunning(0, limit)]
         wait = limit if self.lead else self.handshake.patience
         if self.lead:
             ready = sentences.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
@@ -429,19 +388,6 @@ class Partner:
         else:
             out += [AwaitLine(0, wait), Tell(sentences.READY_TO_MEET.filled(other=self.other))]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
-
-    def watched_start(self, ask: str) -> list[PartnerStep]:
-        """The same, up to the first meeting, of a program that watches the other one by itself and begins
-        anew behind each stop: its line is low before anybody is asked. ``ask``: the lead's question."""
-        limit = self.handshake.timeout
-        earlier = urscript_sentences.UR_EARLIER if self.lead else urscript_sentences.UR_CALLED
-        out: list[PartnerStep] = [SetLine(0), Ask(earlier.filled(other=self.other)), AwaitRunning(0, limit)]
-        if self.lead:
-            ready = sentences.PARTNER_READY.filled(other=self.other, arm=self.arm, start=ask)
-            called = urscript_sentences.UR_START_PARTNER.filled(other=self.other)
-            return [*out, Tell(called), Ask(ready), AwaitLine(0, limit)]
-        wait = self.handshake.patience
-        return [*out, AwaitLine(0, wait), Tell(sentences.READY_TO_MEET.filled(other=self.other))]
 
     def end(self) -> list[PartnerStep]:
         """What the program ends with, so that both lines are 0 then."""

@@ -244,19 +244,6 @@ def splittable(program: OperationProgram) -> BoolArray:
     return out
 
 
-def no_input(action: Action, arm: str) -> TandemError:
-    """Why an arm of UR does not wait for an input of its process."""
-    what = f"arm {arm} is to wait for {action.signal}, for {action.seconds:g} s at most, which Tandem writes "
-    return TandemError(
-        Issue(
-            "post.controller",
-            what + "in RAPID and KRL alone so far",
-            arm=arm,
-            hint="take an ABB or KUKA robot for it",
-        )
-    )
-
-
 def number(value: float, decimals: int) -> str:
     """A number with a fixed count of decimals and no negative zero."""
     text = f"{value:.{decimals}f}"

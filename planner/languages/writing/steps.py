@@ -22,9 +22,9 @@ from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
-from planner.languages.krl.writer.syntax import settled
 from planner.languages.writing import handshake as handshake_drift
 from planner.languages.writing.handshake import handshake_refusals, meeting_rows, stretched
+from planner.languages.writing.language import writer_of
 from planner.languages.writing.layout import (
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
@@ -202,18 +202,19 @@ class _Builder:
         targets = plan.targets
         _check(plan, self.handshake is None)
         frames = _frames(plan, setup)
-        written = _written(plan, frames, place)
         arms = {arm.name: arm for arm in setup.cell.arms}
-        written |= {arm: settled(*w) for arm, w in written.items() if arms[arm].data.family == "KUKA"}
+        writers = {arm: writer_of(arms[arm]) for arm in targets.arms}
+        planned = _written(plan, frames, place)
+        written = {arm: writers[arm].round_poses(*poses) for arm, poses in planned.items()}
         keep = _kept(written)
         stop = _stops(targets, keep)
         meets = np.zeros(len(keep), dtype=np.int64)
-        turned = [written[arm][0] for arm in targets.arms if arms[arm].data.family == "UR"]
+        turned = [written[arm][0] for arm in targets.arms if writers[arm].stops_at_turns]
         longer = _turns(turned, targets, keep) & ~stop
         stop = stop | longer
         if self.handshake is not None and len(targets.arms) > 1:
-            numbered = [arm for arm in targets.arms if arms[arm].data.family in ("KUKA", "UR")]
-            stop = stop | _pauses([written[arm] for arm in numbered], keep)
+            paused = [written[arm] for arm in targets.arms if writers[arm].stops_at_pauses]
+            stop = stop | _pauses(paused, keep)
             stop = meeting_rows(stop, self.handshake.every)
             meets = stop.astype(np.int64)
         duration = _durations(plan, keep)

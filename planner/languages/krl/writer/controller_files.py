@@ -17,7 +17,7 @@ from planner.issues import Issue, Severity
 from planner.languages.krl.writer import running_wire, spline_blocks
 from planner.languages.krl.writer.data import Data, near_zero
 from planner.languages.writing import handshake
-from planner.languages.writing.layout import Job, TaskProgram
+from planner.languages.writing.layout import TaskProgram
 from planner.plans import Plan
 from planner.problem import Controller, KrlDialect, Problem
 
@@ -211,17 +211,18 @@ TURN_OFF: Final = np.deg2rad(0.05)
 """A classical LIN and a turn about one axis may differ by so much [rad] before it is told."""
 
 
-def notes(job: Job, plan: Plan, problem: Problem, files: Mapping[str, str]) -> tuple[Issue, ...]:
+def notes(
+    tasks: Sequence[TaskProgram], plan: Plan, problem: Problem, files: Mapping[str, str]
+) -> tuple[Issue, ...]:
     """Turn bits near zero (``post.turn_near_zero``), large turns in one move (``post.krl_turn``), files
     that are too long for some controllers (``post.krl_size``), what spline blocks rest on (``post.spline``),
     and moves that are in none (``post.spline_left``)."""
     out: list[Issue] = []
     dialect = problem.cell.controller.dialect
-    for task in job.tasks:
-        if task.robot.family == "KUKA":
-            out += [*_turn_bits(task), *_turns(task, plan, dialect), *_size(task, files)]
-            if problem.cell.controller.path == "spline":
-                out += _splines(task, plan)
+    for task in tasks:
+        out += [*_turn_bits(task), *_turns(task, plan, dialect), *_size(task, files)]
+        if problem.cell.controller.path == "spline":
+            out += _splines(task, plan)
     return tuple(out)
 
 

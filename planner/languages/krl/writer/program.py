@@ -36,6 +36,7 @@ from planner.languages.writing.handshake import (
     SetLine,
     Tell,
 )
+from planner.languages.writing.language import Margins, WrittenPrograms
 from planner.languages.writing.layout import (
     LINE_END,
     TRACK_COLUMN,
@@ -187,7 +188,7 @@ class Main:
         if self.partner is None:
             out += syntax.question_lines(clear, self.dialect)
         else:
-            steps = self.partner.start(clear)
+            steps = self.partner.start(krl_sentences.KRL_EARLIER, clear)
             out += partner_lines(self.partner, self.controller, steps)
         for i, operation in enumerate(self.task.operations):
             out += self._operation(i, operation)
@@ -358,27 +359,28 @@ _CALL_BYTES: Final = 30
 """Bytes of the call that a handshake adds to each move."""
 
 
-def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
-    """Program files of the KUKA arms by relative name. Raises :class:`TandemError` (``post.*``)."""
-    own = [task for task in job.tasks if task.robot.family == "KUKA"]
+def write(
+    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+) -> WrittenPrograms:
+    """Write the programs of KUKA arms. Raises :class:`TandemError` (``post.*``)."""
     limits = problem.cell.controller
-    data = {task.number: Data(task, plan) for task in own}
-    moves = {task.number: _lines(task, plan, problem, data[task.number]) for task in own}
+    data = {task.number: Data(task, plan) for task in tasks}
+    moves = {task.number: _lines(task, plan, problem, data[task.number]) for task in tasks}
     call = _CALL_BYTES if job.handshake is not None else 0
     sizes = [
-        np.max([_sizes(moves[t.number][i], len(t.operations[i].ids)) for t in own], axis=0) + call
+        np.max([_sizes(moves[t.number][i], len(t.operations[i].ids)) for t in tasks], axis=0) + call
         for i in range(len(plan.operations))
     ]
     layout = parts(job, sizes, _HEADER_BYTES, limits.max_moves, limits.max_bytes)
     out: dict[str, str] = {}
-    for task in own:
+    for task in tasks:
         out |= _files(task, job, plan, problem, margins, data[task.number], layout, moves[task.number])
     for path, text in out.items():
         if len(text.encode()) > limits.max_bytes:
             message = f"{path} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
             hint = f"allow larger files: controller: {{max_kilobytes: {kilobytes(text)}}}"
             raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
-    return out
+    return WrittenPrograms(out)
 
 
 def _lines(task: TaskProgram, plan: Plan, problem: Problem, data: Data) -> list[linear_moves.Lines | None]:
@@ -410,7 +412,7 @@ def _files(
     job: Job,
     plan: Plan,
     problem: Problem,
-    margins: Mapping[str, str],
+    margins: Margins,
     data: Data,
     layout: Sequence[Part],
     moves: Sequence[linear_moves.Lines | None],
@@ -445,9 +447,7 @@ def _program(
     return [f"DEF {word}()", *declared, *head, *body, "END"]
 
 
-def _header(
-    task: TaskProgram, job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]
-) -> list[str]:
+def _header(task: TaskProgram, job: Job, plan: Plan, problem: Problem, margins: Margins) -> list[str]:
     tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
     out = comment(f"Written by Tandem {__version__} for arm {task.arm.name}: {task.robot.title}.")
     out += comment(f"Tool {tools}. Written, not taught: plan again to change it.")

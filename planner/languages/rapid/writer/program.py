@@ -50,6 +50,7 @@ from planner.languages.writing.handshake import (
     SetLine,
     Tell,
 )
+from planner.languages.writing.language import Margins, WrittenPrograms
 from planner.languages.writing.layout import (
     LINE_END,
     AxesLook,
@@ -136,17 +137,18 @@ _CALL_BYTES = 20
 """Bytes of the call that a handshake adds to each move."""
 
 
-def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
-    """Program files of the ABB arms by relative name. Raises :class:`TandemError` (``post.*``)."""
-    own = [task for task in job.tasks if task.robot.family == "ABB"]
+def write(
+    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+) -> WrittenPrograms:
+    """Write the programs of ABB arms. Raises :class:`TandemError` (``post.*``)."""
     zone = [_zones(job, i) for i in range(len(plan.operations))]
-    moves = {task.number: _moves(task, job, zone) for task in own}
+    moves = {task.number: _moves(task, job, zone) for task in tasks}
     sizes = [
         np.max(
             [
                 [len(line) + len(_INDENT) * 2 + len(LINE_END) for line in moves[t.number][i]]
                 or [0] * len(t.operations[i].ids)
-                for t in own
+                for t in tasks
             ],
             axis=0,
         )
@@ -157,7 +159,7 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     limits = problem.cell.controller
     layout = part_names(parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes))
     out: dict[str, str] = {}
-    for task in own:
+    for task in tasks:
         writer = _Task(task, job, plan, problem, margins, layout, moves[task.number])
         own_zones = {name for op in zone for name in op.get(task.number, np.array([])).tolist()}
         out |= {name: text.replace("\n", LINE_END) for name, text in writer.files(own_zones).items()}
@@ -166,7 +168,7 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
             message = f"{name} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
             hint = f"allow larger modules: controller: {{max_kilobytes: {kilobytes(text)}}}"
             raise TandemError(Issue("post.no_split", message, file=name, hint=hint))
-    return out
+    return WrittenPrograms(out)
 
 
 def module_suffix(controller: Controller) -> str:
@@ -212,7 +214,7 @@ class _Task:
         job: Job,
         plan: Plan,
         problem: Problem,
-        margins: Mapping[str, str],
+        margins: Margins,
         layout: Mapping[Part, str],
         moves: Sequence[Sequence[str]],
     ) -> None:
@@ -310,7 +312,7 @@ class _Task:
         if self.partner is not None:
             body += [
                 *self._power_off(),
-                *partner_lines(self.partner, self.partner.start(clear, "Press OK.")),
+                *partner_lines(self.partner, self.partner.start(sentences.EARLIER, clear)),
             ]
         elif self.task.number == 1:
             body += self._power_off()

@@ -23,7 +23,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaterni
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
 from planner.languages.writing.layout import TRACK_COLUMN, Outer, Part, Track, number, plain, short
-from planner.languages.writing.names import alike
+from planner.languages.writing.refusals import alike
 from planner.problem import OUTER_DECIMALS
 from planner.targets import Action
 

@@ -25,6 +25,7 @@ from planner.languages.trajectories.writer.curves import Curve, curve
 from planner.languages.trajectories.writer.rows import JOINT_DECIMALS, TIME_DECIMALS, row
 from planner.languages.trajectories.writer.straight_ways import Driven, NotKeptError
 from planner.languages.trajectories.writer.wanted import wanted
+from planner.languages.writing.language import Margins, WrittenPrograms
 from planner.languages.writing.layout import (
     Carry,
     Do,
@@ -61,9 +62,11 @@ def joint_names(arm: Arm, controller: Controller) -> tuple[str, ...]:
     return tuple(f"{prefix}{joint}" for joint in arm.data.joints)
 
 
-def texts(job: Job, plan: Plan, problem: Problem) -> tuple[dict[str, str], dict[int, FloatArray]]:
-    """The file of a job by its name, and by the indices of operations the places (2, K) between their targets
-    and when [s] it passes them. Raises :class:`TandemError` (``post.*``)."""
+def write(
+    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+) -> WrittenPrograms:
+    """Write the file of a job. Raises :class:`TandemError` (``post.*``)."""
+    del tasks, margins  # one controller moves all arms, and the file has no comments
     main = _Main(job, plan, problem)
     path = f"{rows.stem(problem.name)}.trajectory.jsonl"
     text = rows.sealed(main.lines())
@@ -75,7 +78,7 @@ def texts(job: Job, plan: Plan, problem: Problem) -> tuple[dict[str, str], dict[
         hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
         raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
     planned = [operation.time for operation in plan.operations]
-    return {path: text}, {k: spliced(planned[k], runs) for k, runs in main.runs.items()}
+    return WrittenPrograms({path: text}, {k: spliced(planned[k], runs) for k, runs in main.runs.items()})
 
 
 class _Main:

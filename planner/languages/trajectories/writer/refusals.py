@@ -8,11 +8,13 @@ from planner.issues import Issue
 from planner.languages.trajectories.writer import program as trajectories
 from planner.languages.trajectories.writer import rows as trajectory_rows
 from planner.problem import Arm, Problem, lights_torch
+from planner.targets import Targets
 
 
-def trajectory_refusals(problem: Problem, arms: Sequence[Arm]) -> list[Issue]:
+def refuse(problem: Problem, made: Sequence[Targets], arms: Sequence[Arm]) -> list[Issue]:
     """Why arms that trajectories drive cannot do a job: names of joints that two arms share, torches, tracks
     and what turns the block."""
+    del made
     issues = []
     seen: dict[str, str] = {}
     for arm in arms:

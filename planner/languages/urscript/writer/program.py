@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -33,6 +33,14 @@ from planner.geometry.arrays import BoolArray, FloatArray, from_rpy, inverse
 from planner.issues import Issue, TandemError
 from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.urscript.writer import syntax
+from planner.languages.urscript.writer.meetings import (
+    Watch,
+    WatchedStep,
+    asking,
+    held,
+    watched_meeting,
+    watched_start,
+)
 from planner.languages.urscript.writer.syntax import comment, mark, name
 from planner.languages.urscript.writer.torches import Torch, torches
 from planner.languages.urscript.writer.torches import functions as torch_functions
@@ -43,11 +51,9 @@ from planner.languages.writing.handshake import (
     Partner,
     SetLine,
     Tell,
-    Watch,
-    WatchedStep,
-    asking,
     drift_sentence,
 )
+from planner.languages.writing.language import Margins, WrittenPrograms
 from planner.languages.writing.layout import (
     LINE_END,
     Carry,
@@ -61,7 +67,6 @@ from planner.languages.writing.layout import (
     TaskProgram,
     Track,
     kilobytes,
-    no_input,
     number,
     short,
 )
@@ -147,7 +152,7 @@ class _Main:
         if self.partner is not None:
             self.asks = asking(task)
             others = (asking(other) for other in job.tasks if other is not task)
-            self.held = self.partner.held(frozenset[int]().union(*others))
+            self.held = held(self.partner, frozenset[int]().union(*others))
         self.watching = False
         self.met = 0
         """The last meeting."""
@@ -243,7 +248,7 @@ class _Main:
         """All up to the first meeting, and that. A program begins with its wires low, and stands for a while
         before its running wire rises behind a question; at the second one it sees the other one run."""
         out, popups, first = [self._runs(False)], list[str](), True
-        for step in partner.watched_start(clear):
+        for step in watched_start(partner, clear):
             match step:
                 case Tell(text) if partner.lead:
                     popups = syntax.told(text, before_question=True)
@@ -265,8 +270,8 @@ class _Main:
         """A meeting. Nobody watches any more from before one on in which the other program asks, or
         behind which both come to their ends; a question of this program stands in it or before."""
         quiet = number in self.held or number == partner.meets
-        held = partner.handshake.patience if number in self.held else 0.0
-        first, rest = partner.watched_meeting(number, wait, held)
+        longest = partner.handshake.patience if number in self.held else 0.0
+        first, rest = watched_meeting(partner, wait, longest)
         self.met = number
         out = self._watch(False) if quiet else []
         out += [syntax.checked(1, True)] if self.begun == number else self._steps(first)
@@ -299,7 +304,7 @@ class _Main:
         out: list[str] = []
         if not self.partner.lead and self.begun != self.met + 1:
             self.begun = self.met + 1
-            out = self._steps(self.partner.watched_meeting(self.begun, self.partner.handshake.patience)[0])
+            out = self._steps(watched_meeting(self.partner, self.partner.handshake.patience)[0])
         low = [self._runs(False), *popups, syntax.checked(1, False), *self._rises()]
         out += [*self._watch(False), *low, *self._watch(True), syntax.checked(1, True)]
         if not _asks_again(behind):
@@ -419,7 +424,7 @@ class _Main:
             case "input" if self.torch is not None and action.signal == self.torch.ok_signal:
                 return [self.torch.wait]
             case "input":
-                raise no_input(action, self.task.arm.name)
+                raise TandemError(no_input(action, self.task.arm.name))
 
     def _switch(self, signal: str, on: bool) -> str:
         return f"{syntax.output(self._number(signal), on)} # {signal}"
@@ -477,6 +482,13 @@ class _Main:
         return out
 
 
+def no_input(action: Action, arm: str) -> Issue:
+    """Why an arm of UR does not wait for an input of its process."""
+    what = f"arm {arm} is to wait for {action.signal}, for {action.seconds:g} s at most, which Tandem writes "
+    what += "in RAPID and KRL alone so far"
+    return Issue("post.controller", what, arm=arm, hint="take an ABB or KUKA robot for it")
+
+
 def no_load(arm: str) -> Issue:
     """Why an arm of UR holds no block."""
     message = f"arm {arm} holds the block; URScript is written for tools alone"
@@ -506,13 +518,13 @@ def _question_follows(steps: Sequence[Step]) -> bool:
     return _confirms(next(rest, None))
 
 
-def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
-    """Program files of UR's arms by relative name. Raises :class:`TandemError` (``post.*``)."""
+def write(
+    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+) -> WrittenPrograms:
+    """Write the programs of UR's arms. Raises :class:`TandemError` (``post.*``)."""
     limits = problem.cell.controller
     out: dict[str, str] = {}
-    for task in job.tasks:
-        if task.robot.family != "UR":
-            continue
+    for task in tasks:
         stem = name(problem.name, _STEM_LENGTH)
         main = _Main(task, job, plan, problem)
         data, body = main.lines()
@@ -530,10 +542,10 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
             hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
             raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
         out[path] = text
-    return out
+    return WrittenPrograms(out)
 
 
-def _header(task: TaskProgram, job: Job, plan: Plan, margins: Mapping[str, str]) -> list[str]:
+def _header(task: TaskProgram, job: Job, plan: Plan, margins: Margins) -> list[str]:
     tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
     out = comment(f"Written by Tandem {__version__} for arm {task.arm.name}: {task.robot.title}.")
     out += comment(f"Tool {tools}. Written, not taught: plan again to change it.")

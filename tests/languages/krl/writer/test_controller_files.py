@@ -44,9 +44,9 @@ def test_a_large_turn_in_one_move_is_told_with_what_it_may_be_off(dialect, sever
 
 def test_programs_that_fill_a_controller_are_told():
     plan, problem = krl_job.alone()
-    job = build(plan, problem)
-    assert notes(job, plan, problem, {"left/test.src": "x" * MEMORY_BYTES, "right/test.src": "x" * 99}) == ()
-    (issue,) = notes(job, plan, problem, {"left/test.src": "x" * MEMORY_BYTES, "left/test.dat": "x"})
+    tasks, full = build(plan, problem).tasks, "x" * MEMORY_BYTES
+    assert notes(tasks, plan, problem, {"left/test.src": full, "right/test.src": "x" * 99}) == ()
+    (issue,) = notes(tasks, plan, problem, {"left/test.src": full, "left/test.dat": "x"})
     assert (issue.code, issue.severity) == ("post.krl_size", Severity.WARNING)
 
 

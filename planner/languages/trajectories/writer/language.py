@@ -1,0 +1,16 @@
+"""Trajectories of ROS 2, as they are written."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from planner.languages.trajectories.writer.program import write
+from planner.languages.trajectories.writer.refusals import refuse
+from planner.languages.writing.language import Writer
+
+WRITER: Final = Writer(
+    write,
+    syncs=("multimove",),
+    opt_in="where a computer with ROS 2 moves it, set controller: {language: ros}",
+    refuse=refuse,
+)

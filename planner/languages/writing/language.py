@@ -1,0 +1,155 @@
+"""What a robot language brings so that programs are written in it, and which languages there are."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Literal
+
+from planner.claims.handshake import SignalWire
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray
+from planner.issues import Issue, TandemError
+from planner.languages.writing.layout import Job, TaskProgram
+from planner.plans import Plan
+from planner.problem import Arm, Controller, Problem
+from planner.runtime import plugins
+from planner.runtime.plugins import Language, PluginError
+from planner.targets import Targets
+
+
+@dataclasses.dataclass(frozen=True)
+class WrittenPrograms:
+    """Program files.
+
+    Attributes:
+        files: Texts by relative name.
+        clocks: By index, (2, K) of operations whose moves take longer in the programs than planned: places
+            (3.5 is half way from target 3 to target 4), and the times [s] at which they are passed.
+    """
+
+    files: dict[str, str]
+    clocks: Mapping[int, FloatArray] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class PoweredSignals:
+    """What the configuration of a controller has to know beside its programs.
+
+    Attributes:
+        signals: Signals that the programs switch and that power something, sorted.
+        torches: Those of them that light a torch.
+        wires: Running wires between this controller and another one.
+    """
+
+    signals: Sequence[str]
+    torches: Sequence[str]
+    wires: Sequence[SignalWire]
+
+
+Margins = Mapping[str, str]
+"""Results of the proof by name, as text, for comments in the headers of programs."""
+Poses = tuple[FloatArray, FloatArray]
+"""Positions (N, 3) [mm] and quaternions (N, 4) of an arm at all targets of an operation."""
+
+
+def _no_issues(*_: object) -> tuple[Issue, ...]:
+    return ()
+
+
+def _as_planned(position: FloatArray, quaternion: FloatArray) -> Poses:
+    return position, quaternion
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Writer:
+    """How programs of one language are written. All members but ``write`` have defaults.
+
+    Functions get the tasks or arms of this language only. They may raise :class:`TandemError` (``post.*``).
+
+    Attributes:
+        write: Returns the programs of tasks; files of arms with controllers of their own in folders by arm.
+        syncs: Values of ``controller.sync`` with which programs of several arms are written.
+        opt_in: How a user requests this language for arms of any family, a clause. Empty for the language of
+            a maker of arms.
+        unmixed: Why its arms do not work in one job with arms of other languages, a clause. Empty if they do.
+        stops_at_turns: Whether an arm stops where its TCP stands, because corners are lengths on its path.
+        stops_at_pauses: Whether an arm stops before and after it stands still while the other one moves.
+        round_poses: Returns poses with those equal that are one place in the language.
+        refuse: Returns why these arms cannot do the job, however it is planned.
+        refuse_settings: Returns why the job does not go with settings that only this language has; called
+            for every job.
+        refuse_segment: Returns why the language has no name for a segment.
+        controller_files: Returns the files, by name, for the configuration of the controller of these tasks.
+        notes: Returns what the user should know of the programs, given all program files.
+    """
+
+    write: Callable[[Sequence[TaskProgram], Job, Plan, Problem, Margins], WrittenPrograms]
+    syncs: tuple[Literal["multimove", "handshake"], ...] = ()
+    opt_in: str = ""
+    unmixed: str = ""
+    stops_at_turns: bool = False
+    stops_at_pauses: bool = False
+    round_poses: Callable[[FloatArray, FloatArray], Poses] = _as_planned
+    refuse: Callable[[Problem, Sequence[Targets], Sequence[Arm]], Iterable[Issue]] = _no_issues
+    refuse_settings: Callable[[Problem, Sequence[Targets]], Iterable[Issue]] = _no_issues
+    refuse_segment: Callable[[Segment], Iterable[Issue]] = _no_issues
+    controller_files: (
+        Callable[[Job, Sequence[TaskProgram], Controller, PoweredSignals], dict[str, str]] | None
+    ) = None
+    notes: Callable[[Sequence[TaskProgram], Plan, Problem, Mapping[str, str]], Iterable[Issue]] | None = None
+
+
+def writers() -> dict[str, tuple[str, Writer]]:
+    """Return the title and the writer of each language by family of robots, Tandem's first.
+
+    Languages whose writer cannot be loaded are left out.
+    """
+    out: dict[str, tuple[str, Writer]] = {}
+    for language in plugins.usable(Language).values():
+        with contextlib.suppress(PluginError):
+            loaded = language.title, plugins.load(language.writer, Writer)
+            out |= {family: loaded for family in language.families if family not in out}
+    return out
+
+
+def makers_languages() -> dict[str, tuple[str, Writer]]:
+    """Return what :func:`writers` does, without languages for arms of any family."""
+    return {family: known for family, known in writers().items() if not known[1].opt_in}
+
+
+def writers_in_use(arms: Iterable[Arm]) -> list[Writer]:
+    """Return the writers of arms in the order of the languages; arms without one are left out."""
+    families = {arm.data.family for arm in arms}
+    return list(dict.fromkeys(writer for family, (_, writer) in writers().items() if family in families))
+
+
+def writer_of(arm: Arm) -> Writer:
+    """Return the writer of an arm's programs.
+
+    Raises:
+        TandemError: There is none (``post.language``).
+    """
+    for writer in writers_in_use([arm]):
+        return writer
+    raise TandemError(unwritten(arm))
+
+
+def unwritten(arm: Arm) -> Issue:
+    """Return why no programs are written for the controller of an arm (``post.language``)."""
+    family, own = arm.data.family, makers_languages()
+    what = f"is of the family {family}, whose language is not written yet"
+    if arm.data.axes > 6:
+        what = "has seven axes, and no controller's own language that is written here states seven joints"
+    for language in plugins.usable(Language).values():
+        if family in language.families:
+            try:
+                plugins.load(language.writer, Writer)
+            except PluginError as error:
+                what = f"is of the family {family}, and the writer of {language.title} {error}"
+    what += "; allowed are " + ", ".join(f"{name} ({title})" for name, (title, _) in own.items())
+    remedies = [writer.opt_in for _, writer in writers().values() if writer.opt_in]
+    hint = "; else ".join([*remedies, f"plan with an arm of {' or '.join(own)}"])
+    hint += "; check tells of its reach all the same"
+    return Issue("post.language", f"arm {arm.name} ({arm.robot}) {what}", arm=arm.name, hint=hint)
