@@ -11,6 +11,7 @@ import numpy as np
 from planner.element.run_report import MOST, MOST_AT_95, ElementRun
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
+from planner.processes.hotwire.report import WIRE_FACE
 from planner.report import charts
 from planner.report.markup import (
     Drawing,
@@ -95,7 +96,7 @@ def cut_section(found: ElementRun) -> tuple[Grid | Paragraph, ...]:
             continue
         points = np.concatenate([face.place for face in faces])
         off = np.concatenate([face.deviation for face in faces])
-        seen = charts.deviation_map(points, off, tolerance, f"{side}: off the panels as written")
+        seen = charts.deviation_map(points, off, tolerance, f"{side}: off the panels as written", WIRE_FACE)
         blocks.append(dataclasses.replace(seen, note="in the frame of the element; mm"))
         blocks.append(Figure(f"{side}: share of vertices", charts.histogram(off, tolerance)))
     note = (

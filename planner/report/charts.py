@@ -281,16 +281,29 @@ _UNROLLED_GRID = (1500, 41)
 """Points along and across a ruled surface that is laid flat."""
 MISSED_COLOUR = np.array([0.35, 0.13, 0.45])
 """Red, green, blue in 0..1 of places that the tool did not pass."""
-CUT_WORDS: Final = ("too much cut", "left standing", "the wire did not pass")
-"""What negative, positive and missing deviations of a cut face are called."""
-FORMED_WORDS: Final = ("pressed too far", "not pressed so far", "the ball did not pass")
-"""The same of a formed face."""
-MILLED_WORDS: Final = ("too much cut", "left standing", "the cutter did not pass")
-"""The same of a milled face."""
-FACE_WORDS: Final = {"form": ("ball", FORMED_WORDS), "mill": ("cutter", MILLED_WORDS)}
-"""What passes a face, and what deviations are called, by the kind of its segment;"""
-CUT_FACE: Final = ("wire", CUT_WORDS)
-"""of all others a wire cuts."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FaceWords:
+    """Words for a simulated face: what passes it, and its negative and positive deviations."""
+
+    tool: str = "tool"
+    negative: str = "too much cut"
+    positive: str = "left standing"
+
+    @property
+    def missing(self) -> str:
+        """What missing deviations are called."""
+        return f"the {self.tool} did not pass"
+
+
+@dataclasses.dataclass(frozen=True)
+class Rulings:
+    """Ends (K, 3) [m] of the rulings of a face, and words for the view of its map, which is laid flat."""
+
+    start: FloatArray
+    end: FloatArray
+    words: str
 
 
 def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -361,9 +374,9 @@ def laid(points: FloatArray) -> tuple[FloatArray, str]:
     return uv, words
 
 
-def unrolled(points: FloatArray, start: FloatArray, end: FloatArray) -> tuple[FloatArray, str]:
+def unrolled(points: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
     """Coordinates (M, 2) [m] of points (M, 3) on the ruled surface between ``start`` and ``end`` (K, 3), laid
-    flat: along its middle line, and along its rulings; and words that say so.
+    flat: along its middle line, and along its rulings.
 
     Each point takes the place of the nearest one of a dense grid on the surface.
     """
@@ -376,8 +389,7 @@ def unrolled(points: FloatArray, start: FloatArray, end: FloatArray) -> tuple[Fl
     _, nearest = cKDTree(grid.reshape(-1, 3)).query(points)
     row, column = np.divmod(nearest, _UNROLLED_GRID[1])
     length = float(np.linalg.norm(end - start, axis=1).mean())
-    words = "laid flat: along the cut to the right, along the wire up; mm"
-    return np.stack([at[row], length * share[column]], axis=1), words
+    return np.stack([at[row], length * share[column]], axis=1)
 
 
 def span_of(deviation: FloatArray, tolerance: float) -> float:
@@ -392,16 +404,17 @@ def deviation_map(
     deviation: FloatArray,
     tolerance: float,
     title: Phrase,
-    rulings: tuple[FloatArray, FloatArray] | None = None,
-    signs: tuple[str, str, str] = CUT_WORDS,
+    words: FaceWords,
+    rulings: Rulings | None = None,
 ) -> Figure:
     """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks where the edge did not pass.
 
-    ``signs``: what negative, positive and missing deviations are called.
-
-    A surface of the ``rulings`` from (K, 3) to (K, 3) is laid flat, any other one seen along its normal.
+    A face with ``rulings`` is laid flat, any other one seen along its normal.
     """
-    uv, words = laid(points) if rulings is None else unrolled(points, *rulings)
+    if rulings is None:
+        uv, view_words = laid(points)
+    else:
+        uv, view_words = unrolled(points, rulings.start, rulings.end), rulings.words
     span = span_of(deviation, tolerance)
     grid, extent = binned(uv, deviation)
     missed = np.isnan(grid)
@@ -409,7 +422,7 @@ def deviation_map(
     color[missed] = MISSED_COLOUR
     alpha = np.where(np.isposinf(grid), 0.0, 1.0)
     field = _field(markup.png(color, alpha), extent)
-    return Figure(title, Group((field, _scale_bar(span, tolerance, bool(missed.any()), signs))), words)
+    return Figure(title, Group((field, _scale_bar(span, tolerance, bool(missed.any()), words))), view_words)
 
 
 def _axis(direction: FloatArray) -> str:
@@ -460,7 +473,7 @@ def _field(image: str, extent: tuple[float, float, float, float]) -> Drawing:
     return Drawing("".join(parts))
 
 
-def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, str, str]) -> Drawing:
+def _scale_bar(span: float, tolerance: float, missed: bool, face: FaceWords) -> Drawing:
     values = np.linspace(-span, span, 200)
     image = markup.png(np.tile(diverging(values, span)[None], (2, 1, 1)))
     left, width = 60.0, 320.0
@@ -476,8 +489,8 @@ def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, st
         if abs(value) == tolerance:
             parts.append(f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="13"/>')
     parts.append("</svg>")
-    words = [("#215cb2", signs[0]), ("#c72e21", signs[1])]
-    words += [("#592173", signs[2])] if missed else []
+    words = [("#215cb2", face.negative), ("#c72e21", face.positive)]
+    words += [("#592173", face.missing)] if missed else []
     words += [("transparent", f"tolerance ±{markup.number(tolerance * 1e3)} mm: off the scale")] * (
         tolerance > span
     )

@@ -19,6 +19,7 @@ from planner.plans import Plan
 from planner.problem import Problem
 from planner.proof.verdict import CutFace, Proof
 from planner.report import charts, markup, motion_charts
+from planner.report.contribution import face_words
 from planner.report.motion_charts import Motion
 
 SHADES: Final = 33
@@ -58,7 +59,11 @@ def layers(problem: Problem, plan: Plan, proof: Proof | None, time: FloatArray) 
     if proof is None or not len(time):
         return ()
     motion = motion_charts.motion_series(problem, plan, proof)
-    found = (_deviation(proof.surfaces), _clearance(problem, motion, time), _speed(motion, proof, time))
+    found = (
+        _deviation(problem, proof.surfaces),
+        _clearance(problem, motion, time),
+        _speed(motion, proof, time),
+    )
     return tuple(layer for layer in found if layer is not None)
 
 
@@ -108,13 +113,10 @@ def _clearance(problem: Problem, motion: Motion, time: FloatArray) -> Layer | No
 
 def _speed(motion: Motion, proof: Proof, time: FloatArray) -> Layer | None:
     series = proof.series
-    feed = motion.feed
-    wires = [
-        name.removesuffix("feed") for name in series if name.startswith("wire/") and name.endswith("/feed")
-    ]
-    if any(np.isfinite(series[f"{wire}feed"]).any() for wire in wires):
+    feed, edges = motion.feed, motion_charts.edge_speeds(motion.processes)
+    if edges:
         known = np.isfinite(feed.speed)
-        stretches = [(np.asarray(series[f"{wire}time"]), np.asarray(series[f"{wire}feed"])) for wire in wires]
+        stretches = [(edge.time, edge.speed) for edge in edges]
         stretches.sort(key=lambda one: float(one[0][0]) if len(one[0]) else 0.0)
         values = {"": worst(*_apart(stretches), time, least=False)}
         work = known & np.isfinite(feed.lower) & (feed.lower > 0.0)
@@ -127,7 +129,7 @@ def _speed(motion: Motion, proof: Proof, time: FloatArray) -> Layer | None:
             else []
         )
         inside = feed.speed[work if work.any() else known] / MM
-        title = "speed of the wire's fastest point in the block"
+        title = edges[0].title
     else:
         names = [name for name in series if name.startswith("tcp_speed/")]
         if not names:
@@ -183,7 +185,7 @@ def _layer(
     return Layer(name, title, unit, low, high, key, limits, words, values, shown)
 
 
-def _deviation(faces: Sequence[CutFace]) -> Layer | None:
+def _deviation(problem: Problem, faces: Sequence[CutFace]) -> Layer | None:
     faces = [face for face in faces if len(face.points)]
     if not faces:
         return None
@@ -212,7 +214,10 @@ def _deviation(faces: Sequence[CutFace]) -> Layer | None:
         f"largest: {worse.largest / MM:.3f} mm, {worse.title}; root mean square there "
         f"{worse.rms / MM:.3f} mm, allowed {markup.allowed(worse.allowed, worse.tolerance)} mm"
     ) + (f"; {len(faces)} faces" if len(faces) > 1 else "")
-    kinds = dict.fromkeys(charts.FACE_WORDS.get(face.segment.kind, charts.CUT_FACE)[1] for face in faces)
+    kinds = [
+        (words.negative, words.positive, words.missing)
+        for words in (face_words(problem, face) for face in faces)
+    ]
     blue, red, missed = (" or ".join(dict.fromkeys(words)) for words in zip(*kinds, strict=True))
     title = f"deviation from the wanted part: blue {blue}, red {red}, violet {missed}"
     return Layer(

@@ -4,16 +4,13 @@ Drawn from the proof's replay or, without one, from the plan. Names that are rea
 ``Proof.series``, all optional: ``time`` (T,) [s] and ``label`` (T,) of segments; per arm
 ``joints/<arm>``, ``speed/<arm>``, ``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2];
 ``clearance/time``, ``clearance/distance`` [m] and ``clearance/pair`` (K,), the same of
-``own_clearance``; per wire n ``wire/<n>/time``, ``label``, ``feed`` [m/s], ``clearance`` [m],
-``curvature`` [1/m] and ``stability`` [-], each (W,); per gap n of two tools ``gap/<n>/time``,
-``got``, ``low``, ``high`` [m], each (G,).
+``own_clearance``. Processes read further series (`contribution`).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -26,10 +23,10 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import Plan
 from planner.problem import Problem, Settings
-from planner.processes.hotwire.claims import WireJoins
 from planner.proof.verdict import Proof
 from planner.report import markup
 from planner.report.charts import Band, Level, Line, chart
+from planner.report.contribution import EdgeSpeed, ProcessMotion, TimeChart, of_processes
 from planner.report.markup import Figure
 
 
@@ -78,43 +75,21 @@ class Feed:
 
 
 @dataclasses.dataclass(frozen=True)
-class WireMotion:
-    """One wire over time (W,): clearance [m], curvature and its limit [1/m], least eigenvalue."""
-
-    time: FloatArray
-    clearance: FloatArray | None
-    curvature: FloatArray | None
-    stability: FloatArray | None
-    max_curvature: float | None
-
-
-@dataclasses.dataclass(frozen=True)
-class Gap:
-    """The gap [m] that two tools leave over time (G,), and the least and the most that is allowed."""
-
-    time: FloatArray
-    got: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-
-@dataclasses.dataclass(frozen=True)
 class Motion:
     """All that is drawn over time; ``source`` says where it comes from.
 
     ``work``: from when to when [s] the targets' segments run; at other times arms move alone, by their
-    joints. Without any all of it is work.
+    joints. Without any all of it is work. ``processes``: what the processes of a proven problem add.
     """
 
     arms: Mapping[str, ArmMotion]
     clearance: Clearance | None
     feed: Feed
-    wires: tuple[WireMotion, ...]
     bands: tuple[Band, ...]
     source: str
     work: tuple[tuple[float, float], ...] = ()
-    gap: Gap | None = None
     own_clearance: Clearance | None = None
+    processes: tuple[ProcessMotion, ...] = ()
 
     def wrist(self, arm: str) -> float:
         """Least wrist angle [rad] of an arm in the segments of the targets."""
@@ -132,16 +107,18 @@ def motion_series(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
     arms = _proven(problem, series)
     if arms:
         bands = _bands([Segment.read(str(v)) for v in series.get("label", ())], np.asarray(series["time"]))
-        feed = _proven_feed(plan, series)
         source = "replayed from the programs' text, from home to home"
         named = {segment.key for op in plan.operations for segment in op.targets.segment}
         work = tuple((band.start, band.end) for band in bands if band.name in named)
         near, own = (_clearance(series, name) for name in ("clearance", "own_clearance"))
-        return Motion(arms, near, feed, _wires(plan, series), bands, source, work, _gap(series), own)
+        processes = tuple(one.motion(plan, series) for one in of_processes(problem))
+        edges = edge_speeds(processes)
+        feed = _proven_feed(plan, edges) if edges else _feed(plan, starts)
+        return Motion(arms, near, feed, bands, source, work, own, processes)
     rows = [_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)]
     bands = tuple(band for row in rows for band in row)
     shown = _planned(problem, plan, starts)
-    return Motion(shown, None, _feed(plan, starts), (), bands, "the plan's targets")
+    return Motion(shown, None, _feed(plan, starts), bands, "the plan's targets")
 
 
 def operation_starts(plan: Plan) -> list[float]:
@@ -189,55 +166,22 @@ def _clearance(series: Mapping[str, Any], name: str) -> Clearance | None:
     return Clearance(np.asarray(time, dtype=np.float64), np.asarray(distance, dtype=np.float64), names)
 
 
-def _numbers(series: Mapping[str, Any], what: str) -> list[int]:
-    """Numbers n of the wires that have ``wire/<n>/<what>``."""
-    found = (re.fullmatch(rf"wire/(\d+)/{what}", name) for name in series)
-    return sorted(int(match.group(1)) for match in found if match)
+def edge_speeds(processes: Sequence[ProcessMotion]) -> list[EdgeSpeed]:
+    """Speeds of tools' edges that processes add, none where no edge enters the stock."""
+    edges = [edge for process in processes for edge in process.speeds]
+    return edges if any(np.isfinite(edge.speed).any() for edge in edges) else []
 
 
-def _gap(series: Mapping[str, Any]) -> Gap | None:
-    """All gaps one after the other; between two of them there is none."""
-    found = (re.fullmatch(r"gap/(\d+)/time", name) for name in series)
-    numbers = sorted(int(match.group(1)) for match in found if match)
-    rows = [
-        np.stack([np.append(series[f"gap/{n}/{what}"], np.nan) for what in ("time", "got", "low", "high")])
-        for n in numbers
-        if len(series[f"gap/{n}/time"])
-    ]
-    return Gap(*np.concatenate(rows, axis=1)) if rows else None
-
-
-def _wires(plan: Plan, series: Mapping[str, Any]) -> tuple[WireMotion, ...]:
-    """The bent wires of the proof, with the limits of the plan's claims, which are in the same order."""
-    limits = [
-        c.max_curvature for op in plan.operations for c in op.targets.claims if isinstance(c, WireJoins)
-    ]
-    bent = [n for n in _numbers(series, "time") if f"wire/{n}/curvature" in series]
-    out = []
-    for i, n in enumerate(bent):
-        time = series[f"wire/{n}/time"]
-        if len(time) > 1:
-            clear, bend, stable = (
-                series.get(f"wire/{n}/{k}") for k in ("clearance", "curvature", "stability")
-            )
-            limit = limits[i] if len(bent) == len(limits) else None
-            out.append(WireMotion(np.asarray(time), clear, bend, stable, limit))
-    return tuple(out)
-
-
-def _proven_feed(plan: Plan, series: Mapping[str, Any]) -> Feed:
-    """Speeds of the wires' fastest points inside the stock, with the windows that the claims state."""
+def _proven_feed(plan: Plan, edges: Sequence[EdgeSpeed]) -> Feed:
+    """Speeds of the edges' fastest points inside the stock, with the windows that the claims state."""
     windows = {
         c.segment.key: c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)
     }
     rows = []
-    for n in _numbers(series, "feed"):
-        labels = [str(v) for v in series[f"wire/{n}/label"]]
-        lower = np.array([windows[v].lower if v in windows else np.nan for v in labels])
-        upper = np.array([windows[v].upper if v in windows else np.nan for v in labels])
-        rows.append(np.stack([series[f"wire/{n}/time"], series[f"wire/{n}/feed"], lower, upper]))
-    if not rows or not np.isfinite(np.concatenate(rows, axis=1)[1]).any():
-        return _feed(plan, operation_starts(plan))
+    for edge in edges:
+        lower = np.array([windows[v].lower if v in windows else np.nan for v in edge.label])
+        upper = np.array([windows[v].upper if v in windows else np.nan for v in edge.label])
+        rows.append(np.stack([edge.time, edge.speed, lower, upper]))
     return Feed(*np.concatenate(rows, axis=1))
 
 
@@ -285,10 +229,7 @@ def feed(motion: Motion) -> Figure:
 def clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
     """Least distance over time [mm] with the asked one, and the pairs that come closest."""
     lines = [Line("arms, tools, block, obstacles", data.time, data.distance / MM, 2)]
-    for wire in motion.wires:
-        if wire.clearance is not None:
-            away = np.where(np.asarray(wire.clearance) > 0.0, wire.clearance, np.nan) / MM
-            lines.append(Line("wire", wire.time, away, 1))
+    lines += [line for process in motion.processes for line in process.clearances]
     return _distances("Clearance to everything else", lines, settings.clearance, data, motion)
 
 
@@ -319,49 +260,19 @@ def least_words(data: Clearance) -> str:
     return f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
 
 
-def gap(data: Gap, motion: Motion) -> Figure:
-    """What two tools leave between them over time [mm], within what is allowed."""
-    lines = [
-        Line("gap", data.time, data.got / MM, 0),
-        Line("most", data.time, data.high / MM, 1, True),
-        Line("least", data.time, data.low / MM, 3, True),
-    ]
-    room = np.minimum(data.got - data.low, data.high - data.got) / MM
-    note = f"nearest to what is not allowed: {markup.fixed(float(np.nanmin(room)), 3)} mm"
-    body = chart(lines, x_label="s", y_label="mm", bands=motion.bands)
-    return Figure("Gap between the tools", body, note)
-
-
-def wire(data: WireMotion, motion: Motion) -> list[Figure]:
-    """Curvature [1/m] and stability of a wire as the proof follows it."""
+def drawn(charts: Sequence[TimeChart], motion: Motion) -> list[Figure]:
+    """Charts that processes add, with the segments of the motion."""
     out = []
-    if data.curvature is not None:
-        most = data.max_curvature
-        levels = [Level(most, "elastic limit")] if most is not None else []
-        top = max(float(np.nanmax(data.curvature)), most or 0.0)
+    for one in charts:
         body = chart(
-            [Line("curvature", data.time, data.curvature, 4)],
+            one.lines,
             x_label="s",
-            y_label="1/m",
+            y_label=one.unit,
             bands=motion.bands,
-            levels=levels,
-            y_range=(0.0, 1.1 * top),
+            levels=one.levels,
+            y_range=one.y_range,
         )
-        note = f"greatest: {markup.number(float(np.nanmax(data.curvature)), 3)} /m"
-        out.append(Figure("Greatest curvature of the wire", body, note))
-    if data.stability is not None:
-        body = chart(
-            [Line("least eigenvalue", data.time, data.stability, 6)],
-            x_label="s",
-            y_label="relative",
-            bands=motion.bands,
-            levels=[Level(0.0, "snaps")],
-            y_range=(
-                min(0.0, float(np.nanmin(data.stability))),
-                1.1 * float(np.nanmax(data.stability)) + 1e-9,
-            ),
-        )
-        out.append(Figure("Stability of the wire", body, "0 is where it snaps to another shape"))
+        out.append(Figure(one.title, body, one.note))
     return out
 
 

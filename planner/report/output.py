@@ -18,7 +18,6 @@ from planner.cell.plant import CellModel
 from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem, Setup
-from planner.processes.hotwire.claims import FollowsRulings
 from planner.proof.verdict import Proof
 from planner.report import (
     cell_picture,
@@ -77,16 +76,8 @@ def render(
     if extra.pictures:
         shown = tuple(page_sections.picture(picture, title) for title, picture in extra.pictures)
         sections.append(Section("cell", "Cell", shown))
-    if proof is not None and proof.surfaces:
-        ruled = {
-            claim.segment.key: (claim.start, claim.end)
-            for operation in (plan.operations if plan is not None else ())
-            for claim in operation.targets.claims
-            if isinstance(claim, FollowsRulings)
-        }
-        faces = tuple(
-            page_sections.cut_face_figure(face, ruled.get(face.segment.key)) for face in proof.surfaces
-        )
+    if problem is not None and plan is not None and proof is not None and proof.surfaces:
+        faces = page_sections.face_figures(problem, plan, proof)
         sections.append(Section("part", "Simulated part against the wanted one", faces))
     sections += drawn
     if problem is not None and plan is not None and plan.operations:
@@ -141,10 +132,11 @@ def _motion(problem: Problem, motion: Motion, proof: Proof | None) -> list[Secti
         figures.append(motion_charts.clearance(motion.clearance, motion, settings))
     if motion.own_clearance is not None:
         figures.append(motion_charts.own_clearance(motion.own_clearance, motion, settings))
-    if motion.gap is not None:
-        figures.append(motion_charts.gap(motion.gap, motion))
+    for process in motion.processes:
+        figures += motion_charts.drawn(process.distances, motion)
     figures += motion_charts.margins(motion, settings, proof) if motion.arms else []
-    figures += [figure for wire in motion.wires for figure in motion_charts.wire(wire, motion)]
+    for process in motion.processes:
+        figures += motion_charts.drawn(process.charts, motion)
     for name, arm in motion.arms.items():
         figures += motion_charts.speeds(name, arm, motion, settings)
     pairs = motion_charts.closest_pairs(motion.clearance) if motion.clearance is not None else ()

@@ -14,25 +14,20 @@ import numpy as np
 
 from planner.catalogue import robots
 from planner.cell import axis_way
-from planner.claims.claim import FeedWindow
 from planner.files import named_files
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, Severity
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.processes.hotwire import exhibits
-from planner.processes.hotwire.claims import CutsSurface, StraightWire, WireJoins
 from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.report import charts, markup, motion_charts
 from planner.report.cell_picture import Picture
+from planner.report.charts import FaceWords, Rulings
+from planner.report.contribution import face_words, of_processes
 from planner.report.markup import Block, Phrase
 from planner.report.scene import MOTION_TIME, TRAVEL_TIME
 
-_CLEARANCE_RULES: Final = ("verify.clearance", "verify.wire_clearance")
-"""Rules that say whether the least clearance is enough."""
-_OWN_RULES: Final = ("verify.own_clearance",)
-"""The rule that says so of arms to themselves."""
 _IN_TILES: Final = frozenset(
     {
         *("clearance_mm", "clearance_index", "own_clearance_mm", "own_clearance_index"),
@@ -87,7 +82,7 @@ def _title(robot: str) -> str:
 
 def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Tile, ...]:
     """The figures that matter, each in a tile."""
-    motion = motion_charts.motion_series(problem, plan, proof)
+    motion, processes = motion_charts.motion_series(problem, plan, proof), of_processes(problem)
     count = sum(op.targets.count for op in plan.operations)
     time = markup.Tile(f"motion time {MOTION_TIME}", *duration(plan.duration))
     out = [markup.Tile("targets", f"{count}"), time]
@@ -97,11 +92,12 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
     proven = motion_charts.worst_by_rule(proof)
     if motion.clearance is not None:
         least = proven.get("verify.clearance", float(np.nanmin(motion.clearance.distance)) / MM)
-        close = _too_close(proof, _CLEARANCE_RULES, least * MM < problem.settings.clearance)
+        codes = {"verify.clearance", *(code for process in processes for code in process.clearance_rules)}
+        close = _too_close(proof, codes, least * MM < problem.settings.clearance)
         out.append(markup.Tile("least clearance", f"{least:.1f}", "mm", close))
     if motion.own_clearance is not None:
         least = proven.get("verify.own_clearance", float(np.nanmin(motion.own_clearance.distance)) / MM)
-        close = _too_close(proof, _OWN_RULES, least * MM < problem.settings.of_one_arm)
+        close = _too_close(proof, {"verify.own_clearance"}, least * MM < problem.settings.of_one_arm)
         out.append(markup.Tile("of an arm to itself", f"{least:.1f}", "mm", close))
     if motion.arms:
         margin = min(float(a.limit_margin.min()) for a in motion.arms.values()) / DEG
@@ -117,25 +113,7 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
         speed = max(float(np.nanmax(np.abs(a.speed) / a.robot.velocity)) for a in motion.arms.values())
         share = proven.get("verify.joint_speed", 100.0 * speed)
         out.append(markup.Tile("highest joint speed", f"{share:.0f}", "% of limit", share > 100.0))
-    claims = [c for op in plan.operations for c in op.targets.claims]
-    for wire in [c for c in claims if isinstance(c, WireJoins)][:1]:
-        out.append(markup.Tile("wire, hot length", f"{wire.length / MM:.1f}", "mm"))
-        out.append(markup.Tile("wire, thickness", f"{wire.thickness / MM:g}", "mm"))
-    bows = [c for c in claims if isinstance(c, StraightWire)]
-    spans = sorted({round(float(np.linalg.norm(c.end - c.start)) / MM, 1) for c in bows})
-    out += [markup.Tile("straight wire", " and ".join(f"{v:g}" for v in spans), "mm")] if spans else []
-    cuts = [c for c in claims if isinstance(c, CutsSurface)]
-    if cuts:
-        windows = [c for c in claims if isinstance(c, FeedWindow)]
-        out.append(markup.Tile(*exhibits.kerf_shown(cuts, windows, proof), "mm"))
-        tolerances = sorted({c.tolerance / MM for c in cuts})
-        out.append(
-            markup.Tile(
-                "tolerance",
-                "±" + " – ".join(f"{v:g}" for v in tolerances[:: max(1, len(tolerances) - 1)]),
-                "mm",
-            )
-        )
+    out += [tile for process in processes for tile in process.tiles(plan, proof)]
     if proof is not None:
         shown = sorted(proof.surfaces, key=lambda f: f.share - f.wanted_share)
         for face in shown[:MOST_FACE_TILES]:
@@ -284,10 +262,19 @@ def _rule_table(results: Sequence[RuleResult]) -> markup.Table:
     return markup.table(("", "rule", "worst", "limit", "where", "code"), rows)
 
 
-def cut_face_figure(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> Block:
-    """Heat map, histogram and figures of a simulated face; ``rulings``: the ends of its rulings."""
+def face_figures(problem: Problem, plan: Plan, proof: Proof) -> tuple[Block, ...]:
+    """Maps of the simulated faces."""
+    claims = [claim for operation in plan.operations for claim in operation.targets.claims]
+    rulings = dict(pair for process in of_processes(problem) for pair in process.rulings(claims))
+    return tuple(
+        cut_face_figure(face, face_words(problem, face), rulings.get(face.segment.key))
+        for face in proof.surfaces
+    )
+
+
+def cut_face_figure(cut: CutFace, words: FaceWords, rulings: Rulings | None = None) -> Block:
+    """Heat map, histogram and figures of a simulated face."""
     missed = float(np.isnan(cut.deviation).mean())
-    tool, words = charts.FACE_WORDS.get(cut.segment.kind, charts.CUT_FACE)
     items = [
         (f"within {markup.allowed(cut.allowed, cut.tolerance)} mm", f"{100 * cut.share:.2f} % of the face"),
         ("asked for", f"{100 * cut.wanted_share:.0f} %"),
@@ -295,7 +282,7 @@ def cut_face_figure(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None 
         ("largest", f"{cut.largest / MM:.3f} mm"),
         ("points compared", f"{len(cut.points)}"),
     ]
-    items += [(f"not passed by the {tool}", f"{100 * missed:.2f} %")] if missed else []
+    items += [(f"not passed by the {words.tool}", f"{100 * missed:.2f} %")] if missed else []
     good = cut.share >= cut.wanted_share
     tag = markup.Tag("ok", "holds") if good else markup.Tag("bad", "does not hold")
     chart = charts.deviation_map(
@@ -303,8 +290,8 @@ def cut_face_figure(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None 
         cut.deviation,
         cut.tolerance,
         markup.Joined((f"Simulated less wanted: {cut.title} ", tag)),
-        rulings,
         words,
+        rulings,
     )
     spread = markup.Figure("Spread", charts.histogram(cut.deviation, cut.tolerance))
     beside = markup.Column((spread, markup.Facts(tuple(items))))

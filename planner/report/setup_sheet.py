@@ -15,25 +15,18 @@ from planner.claims.claim import HoldsStock
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
-from planner.problem import (
-    Arm,
-    Controller,
-    Problem,
-    Setup,
-    Stock,
-    Turntable,
-    torch_signals,
-)
-from planner.processes.forming.claims import SinksHolder
-from planner.processes.hotwire.claims import StraightWire, WireJoins
-from planner.processes.hotwire.exhibits import (
-    bent_wire_rows,
-    cutting_rows,
-    mounting_rows,
-    straight_wire_rows,
-)
+from planner.problem import Arm, Problem, Setup, Stock, Turntable
 from planner.proof.verdict import Proof
-from planner.report import axes_sheet, exhibits, markup, scene
+from planner.report import exhibits, markup, scene
+from planner.report.contribution import (
+    Check,
+    ControllerSetup,
+    ReportOfLanguage,
+    Row,
+    by_language,
+    of_processes,
+    powered,
+)
 from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import operation_starts
 from planner.report.pose_text import point, pose_cells
@@ -74,7 +67,7 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
     stock = setup.stock
     found = stock.upper - stock.lower
     place, turn, quaternion = pose_cells(np.asarray(plan.places[setup.number - 1]))
-    items: list[tuple[object, object]] = [("size x × y × z [mm]", _size(found))]
+    items: list[Row] = [("size x × y × z [mm]", _size(found))]
     if stock.oversize.any():
         items.append(("of it the datum block [mm]", _size(stock.size)))
         sides = "; ".join(
@@ -152,10 +145,10 @@ def _stands_on(setup: Setup, place: FloatArray) -> str:
     return support.support_note(up.cell, setup.stock, place)
 
 
-def _from_bases(setup: Setup, plan: Plan) -> list[tuple[object, object]]:
+def _from_bases(setup: Setup, plan: Plan) -> list[Row]:
     """Where the block is from the base of each arm: one bottom corner, its edges, its underside."""
     stock, place = setup.stock, np.asarray(plan.places[setup.number - 1])
-    out: list[tuple[object, object]] = []
+    out: list[Row] = []
     for arm in setup.cell.arms:
         base = np.asarray(plan.bases.get(arm.name, arm.base))
         seen = np.linalg.inv(base) @ place
@@ -170,7 +163,7 @@ def _from_bases(setup: Setup, plan: Plan) -> list[tuple[object, object]]:
     return out
 
 
-def _clamped_by(stock: Stock) -> list[tuple[object, object]]:
+def _clamped_by(stock: Stock) -> list[Row]:
     """Where the middle of a gripper is, from two edges of the block's bottom face."""
     middle = np.linalg.inv(stock.grip)
     across = middle[:2, 3] - stock.lower[:2]
@@ -221,53 +214,43 @@ _CHECK_COLUMNS = ("controller", "what", "to be so", "done")
 
 def controller_checks(problem: Problem, plan: Plan) -> Table:
     """A table to tick off, for each controller of the arms that take part."""
-    controller = problem.cell.controller
     used = {name for operation in plan.operations for name in operation.targets.arms}
     arms = [arm for arm in problem.cell.arms if arm.name in used]
-    alone = controller.sync == "handshake"
+    alone = problem.cell.controller.sync == "handshake"
     joined = alone and len(arms) > 1
-    rows: list[tuple[Phrase, ...]] = []
-    seen = False
-    driven = [arm for arm in arms if arm.data.family == "ROS"]
-    if driven:
-        both = ", ".join(arm.name for arm in driven)
-        rows += [(both, what, wanted, _FILL) for what, wanted in _driven(problem, plan, driven)]
-    for arm in arms:
-        if arm in driven:
-            continue
-        if arm.data.family == "KUKA":
-            rows += [
-                (arm.name, what, wanted, _FILL) for what, wanted in _kuka(problem, plan, arm.name, joined)
-            ]
-        elif arm.data.family == "UR":
-            rows += [(arm.name, what, wanted, _FILL) for what, wanted in _ur(problem, plan, arm.name, joined)]
-        elif alone or not seen:
-            seen = True
-            name = arm.name if alone else ", ".join(a.name for a in arms)
-            rows += [
-                (name, what, wanted, _FILL)
-                for what, wanted in _abb(problem, plan, arm.name if alone else "", joined)
-            ]
+    controllers = [
+        (language, own)
+        for language, together in by_language(arms)
+        for own in ([(arm,) for arm in together] if alone else [together])
+    ]
+    controllers.sort(key=lambda one: arms.index(one[1][0]))
+    rows = [
+        row
+        for language, own in controllers
+        for row in _checked(own, language.checks(ControllerSetup(problem, plan, own, joined)))
+    ]
     if alone and not joined:
         rest = ", ".join(arm.name for arm in problem.cell.arms if arm.name not in used)
         what = "stands at home, its program stopped: nothing in this job looks at it"
-        rows += [(arm.name, f"{rest} meanwhile", what, _FILL) for arm in arms if rest]
+        rows += [row for arm in arms if rest for row in _checked([arm], [(f"{rest} meanwhile", what)])]
     if joined:
-        both = ", ".join(arm.name for arm in arms)
-        rows += [(both, what, wanted, _FILL) for what, wanted in _wire_checks(problem, plan, arms)]
-    rows += [(arm.name, what, wanted, _FILL) for arm in arms for what, wanted in _sag(arm)]
+        rows += _checked(arms, _wire_checks(problem, plan, arms))
+    for language, own in controllers:
+        rows += [row for arm in own for row in _checked([arm], _sag(arm, language))]
     return markup.table(_CHECK_COLUMNS, rows)
 
 
-_OWN_COMPENSATION = {"KUKA": "model of a positionally accurate robot", "UR": "kinematic calibration"}
-"""What the controllers of a family have to make up for the load by themselves."""
+def _checked(arms: Sequence[Arm], checks: Sequence[Check]) -> list[tuple[Phrase, ...]]:
+    """Rows of the table for the controllers of arms."""
+    names = ", ".join(arm.name for arm in arms)
+    return [(names, what, how, _FILL) for what, how in checks]
 
 
-def _sag(arm: Arm) -> list[tuple[str, str]]:
+def _sag(arm: Arm, language: ReportOfLanguage) -> list[Check]:
     """What makes up for the arm's sag, which must be done once, and by what figures."""
     if arm.sag is None or arm.stiffness is None:
         return []
-    own = _OWN_COMPENSATION.get(arm.data.family, "Absolute Accuracy")
+    own = language.load_compensation
     off = f"off ({own}): the program makes up for the load's sag itself"
     on = f"on ({own}): the program makes up for the work's force alone"
     joints = ", ".join(f"{value:.3g}" for value in arm.stiffness.joints)
@@ -277,7 +260,7 @@ def _sag(arm: Arm) -> list[tuple[str, str]]:
     ]
 
 
-def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tuple[str, str]]:
+def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[Check]:
     """Each wire between two controllers, and how it is tried."""
     names = [arm.name for arm in arms]
     handshake = problem.cell.controller.handshake
@@ -289,7 +272,7 @@ def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tupl
         for wire in handshake.wired(names)
     ]
     for wire in handshake.wired_running(names):
-        falls = " and its power falls" if _powered(problem, plan, wire.sink) else ""
+        falls = " and its power falls" if powered(problem, plan, [problem.cell.arm(wire.sink)]) else ""
         out.append(
             (
                 f"running wire: {wire.output} of {wire.source} to {wire.input} of {wire.sink}",
@@ -297,264 +280,6 @@ def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tupl
                 f"then arm {wire.source} stops, too",
             )
         )
-    return out
-
-
-def _wired(problem: Problem, arm: str) -> list[tuple[str, str]]:
-    """The places of the running wires' ends at an ABB controller."""
-    own, lock = problem.cell.controller.handshake.of(arm), problem.cell.controller.interlock
-    places = [(name, lock.place(arm, name)) for name in (own.running, own.partner_running)]
-    return [
-        (f"{name} is wired", f"{at.device}, bit {at.bit}" if at else "NO DEVICE stated, so the wire is dead")
-        for name, at in places
-    ]
-
-
-def _ur(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
-    controller, out = problem.cell.controller, list[tuple[str, str]]()
-    own = controller.handshake.of(arm)
-    for signal in _powered(problem, plan, arm):
-        name = _ur_signal(controller.number(arm, signal), "output")
-        out.append((f"{signal} is {name}, in Installation, I/O", "low when the program does not run"))
-        out.append(("the power falls at a safety stop and with the drives", f"wired so, behind {name}"))
-        if joined:
-            wire = f"the wire that ends at {own.partner_running}"
-            out.append((f"the power of {signal} falls with {wire}", "a relay in series, beside the program"))
-    if joined:
-        out += _ur_joined(controller, arm)
-    lit = torch_signals(problem.operations) & set(_powered(problem, plan, arm))
-    out += [row for signal in sorted(lit) for row in _ur_torch(signal)]
-    out += [
-        ("pose of the flange at home in Base, at the panel", "as the program's get_forward_kin has it"),
-        ("mounting in Installation", "as the arm stands"),
-        ("motion version in Installation", "noted; blends and times may differ by it"),
-        ("local control, no Dashboard client", "nothing but a person closes popups"),
-        ("time from the first movel to the last", "as planned, at 100 % speed: else the feed is another"),
-        ("Program loops forever, in the program's head", "off: at its end it would begin anew by itself"),
-        ("behind an error or a stop that is given up", "start the program from its beginning"),
-    ]
-    return out
-
-
-def _driven(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tuple[str, str]]:
-    """What a controller of ROS 2 that moves all joints must have, and the runner of trajectories."""
-    controller, out = problem.cell.controller, list[tuple[str, str]]()
-    names = [
-        f"{controller.joint_prefix.get(arm.name, '')}{joint}" for arm in arms for joint in arm.data.joints
-    ]
-    path, goal = (
-        float(np.rad2deg(value)) for value in (controller.path_tolerance, controller.goal_tolerance)
-    )
-    for signal in _powered(problem, plan):
-        out.append((f"the service that sets {signal}", "answers once the output has the value"))
-        out.append(
-            (
-                f"{signal} with the runner ended by force, the computer off, its network pulled",
-                "falls within 1 s",
-            )
-        )
-        out.append((f"the power of {signal} at a safety stop and with the drives", "falls: wired so"))
-    return [
-        *out,
-        ("controller", "one joint_trajectory_controller for all joints, interpolation_method splines"),
-        ("its joints, in any order", ", ".join(names)),
-        ("state interfaces", "position and velocity of all joints"),
-        ("allow_nonzero_velocity_at_trajectory_end, allow_partial_joints_goal", "false"),
-        ("interpolate_from_desired_state (open_loop_control in Humble)", "true"),
-        (
-            "version of joint_trajectory_controller",
-            "2.37 (Humble), 4.12 (Jazzy), or later: before, it looks at no tolerances of goals",
-        ),
-        ("joints of the URDF at the computer", "zero and turn as those that the job was planned with"),
-        ("a hand on a joint while it moves slowly: ends the move", f"beyond {path:g} deg off its way"),
-        ("behind each move all joints", f"within {goal:g} deg"),
-        ("what scales speeds at the controller or at the pendant", "100 %: else the feed is another"),
-        ("tool and load at each arm's controller", "as the rows tool of the file have them"),
-        ("time of the longest move", "as planned"),
-        ("behind a stop of any kind", "power off, wire off, arms home by hand; start from the beginning"),
-    ]
-
-
-def _ur_torch(signal: str) -> list[tuple[str, str]]:
-    """What a UR controller needs so that a torch goes out at each stop, and is not lit again."""
-    return [
-        (
-            f"Stop, Pause, emergency stop, safeguard stop, protective stop, each while {signal} is on, "
-            f"supply off and input bridged: {signal}",
-            "falls; else a safety output in series with it",
-        ),
-        (
-            "once, as before: Pause in a slot, then Play",
-            "the program ends, nothing is lit; else this controller gives outputs back: light no torch with "
-            "it",
-        ),
-        (
-            "once, as before: the speed slider at its least in a slot; the input pulled in a slot",
-            "the program ends within some seconds; at once",
-        ),
-        ("the speed slider", "100 %, and nobody moves it"),
-        (
-            f"{signal} on at a stop: never set again by hand",
-            "the program ends: torch out by hand, sheet looked at, start from the beginning; it cuts all "
-            "slots, so on a sheet without them, else plan anew what is left",
-        ),
-    ]
-
-
-def _ur_joined(controller: Controller, arm: str) -> list[tuple[str, str]]:
-    """What a UR controller needs so that another one's program knows when this one stops."""
-    own = controller.handshake.of(arm)
-    ends = [
-        (own.output, "output"),
-        (own.running, "output"),
-        (own.input, "input"),
-        (own.partner_running, "input"),
-    ]
-    named = [(f"{name} is {_ur_signal(controller.number(arm, name), kind)}", "wired") for name, kind in ends]
-    return [
-        *named,
-        (f"{own.running} in Installation, I/O", "low when the program does not run; no other action"),
-        (f"{own.output}, {own.input}, {own.partner_running} in Installation, I/O", "no action"),
-        (
-            f"Stop, Pause, emergency stop, safeguard stop, protective stop, each while both programs run: "
-            f"{own.running}",
-            "falls, and the other arm stops; else a safety output of this controller in series with its wire",
-        ),
-        ("emergency stops of both controllers", "joined: either button stops both"),
-        ("the speed slider", "100 % at both, and nobody moves it"),
-        ("behind a stop or pause of either arm", "both programs have ended: start both from their beginning"),
-        (
-            "once: the arm that follows started alone up to Ready to meet, Pause, then Play",
-            "its program ends; else this controller gives outputs back behind a pause: do not use it for two",
-        ),
-    ]
-
-
-def _ur_signal(number: int | None, kind: str) -> str:
-    """What a number of a digital input or output is called at a UR controller."""
-    if number is None:
-        return "none"
-    if number >= STANDARD_OUTPUTS:
-        return f"configurable {kind} {number - STANDARD_OUTPUTS}"
-    return f"digital {kind} {number}"
-
-
-STANDARD_OUTPUTS = 8
-"""How many standard digital outputs, and inputs, a UR controller has; configurable ones come behind them."""
-
-
-def _powered(problem: Problem, plan: Plan, arm: str = "") -> list[str]:
-    """Signals that programs switch, without the clamps of sheets; of one arm where each has a controller."""
-    order = [item.name for item in problem.cell.arms]
-    out: dict[str, None] = {}
-    for operation in plan.operations:
-        targets = operation.targets
-        pulsed = {claim.signal for claim in targets.claims if isinstance(claim, SinksHolder)}
-        if not arm or arm == min(targets.arms, key=order.index):
-            on = (action.signal for action in targets.actions if action.kind == "on")
-            out |= dict.fromkeys(signal for signal in on if signal not in pulsed)
-    return list(out)
-
-
-def _torches(
-    problem: Problem, plan: Plan, signals: Sequence[str], anew: str, arm: str = ""
-) -> list[tuple[str, str]]:
-    """What follows a stop at which a torch burned; ``anew``: how a program begins again; ``arm``: the one of
-    this controller where the other one has another."""
-    own = torch_signals(problem.operations)
-    there = (
-        {one.name: set(_powered(problem, plan, one.name)) & own for one in problem.cell.arms} if arm else {}
-    )
-    anew += ", at both controllers" if any(there.values()) else ""
-    words = f"the program ends: torch out by hand, sheet looked at, {anew}; it cuts all slots, so on a sheet "
-    words += "without them, else plan anew what is left"
-    out = [(f"{signal} on at a stop: never set again by hand", words) for signal in signals if signal in own]
-    also = f"this program begins anew, too: {anew}; its controller knows nothing of the torch"
-    rows = [(name, signal) for name, lit in there.items() if name != arm for signal in sorted(map(str, lit))]
-    return out + [(f"{signal} of arm {name} on at a stop", also) for name, signal in rows]
-
-
-def _hot(problem: Problem) -> bool:
-    """Whether wires are mounted that get hot."""
-    return any(operation.process.endswith("_wire") for operation in problem.operations)
-
-
-def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
-    controller = problem.cell.controller
-    ending = "sys" if controller.robotware == 6 else "sysx"
-    out = [("RobotWare", f"{controller.robotware}; its modules end in .{ending.replace('sys', 'mod')}")]
-    signals = _powered(problem, plan, arm)
-    folder = f"programs/controller/{arm}" if arm else "programs/controller"
-    if joined and not signals:
-        out.append((f"EIO.cfg of {folder}", "loaded"))
-    if joined:
-        out += _wired(problem, arm)
-    if signals:
-        out.append((f"EIO.cfg, SYS.cfg and TandemPower.{ending} of {folder}", "loaded"))
-        for signal in signals:
-            real = controller.interlock.of(signal)
-            place = f"{real.device}, bit {real.bit}" if real.device else "NO DEVICE stated, so no power"
-            out.append((f"{real.signal} falls at a stop, with the motors, with the enabling device", place))
-    if signals and _hot(problem):
-        out.append(
-            (
-                "mounting while the wire is hot and the gate open",
-                "not in automatic: mount cold, or in manual at reduced speed while somebody else holds the "
-                "enabling device, and run to the end in manual",
-            )
-        )
-    out += _torches(problem, plan, signals, "PP to main in all tasks, Start", arm if joined else "")
-    out.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
-    for item in problem.cell.arms:
-        if item.axes and arm in ("", item.name):
-            out += axes_sheet.abb_rails(item, controller.robot(problem.cell.arms.index(item)))
-    table = problem.cell.turntable
-    if table is not None and arm in ("", table.arm):
-        out += axes_sheet.turntable(problem, table)
-    if any(setup.stock.held_by for setup in problem.setups):
-        out.append(("ModalPayLoadMode (SYS_MISC)", "1: else GripLoad of the held block counts for nothing"))
-    out.append(("CAB_REGAIN_DIST, AUTO", "small: an arm goes back to its path by itself from so far away"))
-    out.append(("behind an error or a stop that is given up", "PP to main in all tasks, then start"))
-    return out
-
-
-def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
-    controller, out = problem.cell.controller, list[tuple[str, str]]()
-    signals = [
-        (signal, number)
-        for signal in _powered(problem, plan, arm)
-        if (number := controller.number(arm, signal)) is not None
-    ]
-    folder = f"programs/controller/{arm}"
-    if signals:
-        files = f"config_user.dat, sps_user.sub and ir_stopm_user.src of {folder}"
-        out.append((files, "in $CONFIG.DAT, SPS.SUB and IR_STOPM.SRC; the submit interpreter runs"))
-    elif joined:
-        files = f"config_user.dat and sps_user.sub of {folder}"
-        out.append((files, "in $CONFIG.DAT and SPS.SUB; the submit interpreter runs"))
-    if joined:
-        own = controller.handshake.of(arm)
-        enable = controller.number(arm, own.move_enable)
-        out.append(
-            (f"$OUT[{enable}] {own.move_enable}", "wired to the input of $MOVE_ENABLE; $CHCK_MOVENA TRUE")
-        )
-    for signal, number in signals:
-        real = controller.number(arm, controller.interlock.of(signal).signal)
-        out.append(
-            ("the power falls at a stop and with the drives", f"$OUT[{number if real is None else real}]")
-        )
-    if signals and _hot(problem):
-        words = "not in automatic: mount cold, or in T1 with the enabling switch held by somebody else"
-        out.append(("mounting while the wire is hot and the gate open", words))
-    out += _torches(problem, plan, [signal for signal, _ in signals], "reset, start", arm if joined else "")
-    rider = problem.cell.arm(arm)
-    if rider.axes:
-        out += axes_sheet.kuka_rails(rider)
-    table = problem.cell.turntable
-    if table is not None and table.arm == arm:
-        out += axes_sheet.turntable(problem, table)
-    out += axes_sheet.other_axes(rider, table)
-    out.append(("behind an error or a stop that is given up", "reset the program, then start"))
     return out
 
 
@@ -612,21 +337,17 @@ def _holds(setup: Setup, plan: Plan) -> HoldsStock | None:
 
 def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> Facts:
     targets = operation.targets
-    items: list[tuple[object, object]] = []
-    for claim in targets.claims:
-        if isinstance(claim, WireJoins):
-            items += bent_wire_rows(claim) + mounting_rows(setup, plan, operation, claim)
-        elif isinstance(claim, StraightWire):
-            items += straight_wire_rows(claim)
-    own = exhibits.setup_items(targets.exhibits)
-    straight = any(isinstance(claim, StraightWire) for claim in targets.claims)
-    # the straight wire's process says all this by itself
-    items += own if own and straight else [*cutting_rows(operation, proof), *own]
+    items: list[Row] = []
+    for process in of_processes(problem):
+        items += process.setup_rows(setup, plan, operation, proof)
+    items += exhibits.setup_items(targets.exhibits)
     signals = dict.fromkeys(a.signal for a in targets.actions if a.signal)
     items += [("signals", _listed([markup.Code(signal) for signal in signals]))] if signals else []
     waits = sum(a.seconds for a in targets.actions)
     items += [("waits in all", f"{markup.fixed(waits, 1)} s")] if waits else []
-    return Facts((*items, *_controllers(problem), *_wires(problem)))
+    for language, arms in by_language(problem.cell.arms):
+        items += language.programs(problem, arms)
+    return Facts((*items, *_wires(problem)))
 
 
 def _listed(phrases: Sequence[Phrase]) -> Phrase:
@@ -634,37 +355,7 @@ def _listed(phrases: Sequence[Phrase]) -> Phrase:
     return markup.Joined(tuple(part for one in phrases for part in (", ", one))[1:])
 
 
-def _controllers(problem: Problem) -> list[tuple[object, object]]:
-    """Tasks of ABB's arms; of KUKA's the dialect, what the controller must have, and numbers of signals; of
-    UR's the numbers."""
-    controller = problem.cell.controller
-    ur = [arm.name for arm in problem.cell.arms if arm.data.family == "UR"]
-    krl = [arm.name for arm in problem.cell.arms if arm.data.family == "KUKA"]
-    driven = [arm.name for arm in problem.cell.arms if arm.data.family == "ROS"]
-    named = [
-        f"{arm.name}: {task}"
-        for arm, task in zip(problem.cell.arms, controller.tasks, strict=False)
-        if arm.name not in (*krl, *ur, *driven)
-    ]
-    out: list[tuple[object, object]] = [("tasks", ", ".join(named))] if named else []
-    if driven:
-        out.append(
-            (f"trajectories of {', '.join(driven)}", "one file for ROS 2, not run on a controller yet")
-        )
-    dialect = {"krc4": "KRC4, KSS 8.3 on", "krc2": "KRC2"}[controller.dialect]
-    for arm in krl:
-        numbers = controller.io.get(arm, {})
-        listed = "".join(f"; {signal} is number {number}" for signal, number in numbers.items())
-        blocks = "; spline blocks, not seen on a controller" if controller.path == "spline" else ""
-        out.append((f"KRL of {arm}", f"{dialect}; $ROBROOT zero{listed}{blocks}"))
-    for arm in ur:
-        numbers = controller.io.get(arm, {})
-        listed = "".join(f"; {signal} is number {number}" for signal, number in numbers.items())
-        out.append((f"URScript of {arm}", f"one program, not run on a controller yet{listed}"))
-    return out
-
-
-def _wires(problem: Problem) -> list[tuple[object, object]]:
+def _wires(problem: Problem) -> list[Row]:
     """The wires between two controllers that meet by handshake."""
     controller = problem.cell.controller
     if controller.sync != "handshake":

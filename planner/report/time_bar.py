@@ -9,15 +9,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims.segments import Segment
+from planner.claims.segments import WORKING_KINDS, Segment
 from planner.geometry.arrays import FloatArray
 from planner.report.scene import MOTION_TIME, SETUP_SEGMENT, TRAVEL_TIME, Track
 
 _SEGMENT_COLOURS: Final = {
-    "cut": "#f08a3c",
-    "mill": "#f08a3c",
-    "trim": "#f08a3c",
-    "form": "#f08a3c",
+    **dict.fromkeys(WORKING_KINDS, "#f08a3c"),
     "approach": "#58a6c7",
     "retreat": "#58a6c7",
     "link": "#58a6c7",

@@ -153,12 +153,11 @@ def test_a_ruled_surface_is_laid_flat() -> None:
     rng = np.random.default_rng(1)
     row, share = rng.integers(0, 200, 500), rng.random(500)
     points = start[row] + share[:, None] * (end - start)[row]
-    uv, words = charts.unrolled(points, start, end)
+    uv = charts.unrolled(points, start, end)
     np.testing.assert_allclose(uv[:, 0], 0.15 * angle[row], atol=5e-4)
     np.testing.assert_allclose(
         uv[:, 1], np.hypot(0.1, 0.3) * share, atol=0.5 * np.hypot(0.1, 0.3) / 40 + 1e-4
     )
-    assert "laid flat" in words
 
 
 def test_readings_are_dots_where_the_axes_have_them() -> None:

@@ -15,7 +15,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import Ruled
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.processes.hotwire import exhibits
+from planner.processes.hotwire import report
 from planner.processes.hotwire.claims import CutsSurface, KerfCurve
 from planner.proof.verdict import CutFace, Proof, RuleResult
 from planner.report import cell_picture, motion_charts, output, raster, replay, scene
@@ -223,11 +223,11 @@ def test_the_kerf_is_that_of_the_feeds(two: tuple[Problem, Plan]) -> None:
     triangle = np.zeros((3, 3)), np.array([[0, 1, 2]])
     cut = CutsSurface(Segment.read("cut/a"), *triangle, table, 1e-4)
     assert (
-        exhibits.kerf_range([cut], [FeedWindow(Segment.read("cut/a"), 2e-3, 4e-3)]) == "1.00–2.00"
+        report.kerf_range([cut], [FeedWindow(Segment.read("cut/a"), 2e-3, 4e-3)]) == "1.00–2.00"
     )  # least in between
-    assert exhibits.kerf_range([cut], []) == "1.00–3.00"
+    assert report.kerf_range([cut], []) == "1.00–3.00"
     constant = CutsSurface(Segment.read("cut/a"), *triangle, KerfCurve.constant(1.4e-3), 1e-4)
-    assert exhibits.kerf_range([constant], []) == "1.4"
+    assert report.kerf_range([constant], []) == "1.4"
 
 
 def test_the_kerf_of_a_proven_cut_is_that_of_its_speeds() -> None:
@@ -240,8 +240,8 @@ def test_the_kerf_of_a_proven_cut_is_that_of_its_speeds() -> None:
     seen = np.array([4e-3, np.nan, 5e-3])
     face = CutFace(name, *three, 1e-4, 1.0, 0.95, 0.0, 0.0, speed=seen)
     proof = Proof("", (), (), {}, (face,), "")
-    assert exhibits.kerf_shown([cut], [window], proof) == ("kerf of the cut", "1.33–1.67")
-    assert exhibits.kerf_shown([cut], [window], None) == ("kerf at the feeds allowed", "1.00–2.00")
+    assert report.kerf_shown([cut], [window], proof) == ("kerf of the cut", "1.33–1.67")
+    assert report.kerf_shown([cut], [window], None) == ("kerf at the feeds allowed", "1.00–2.00")
 
 
 def test_series_of_straight_and_bent_wires_are_told_apart(two: tuple[Problem, Plan]) -> None:
@@ -254,8 +254,9 @@ def test_series_of_straight_and_bent_wires_are_told_apart(two: tuple[Problem, Pl
     time = np.asarray(bent["wire/1/time"])
     series |= {"wire/1/time": time, "wire/1/feed": 0 * time + 0.004, "wire/1/label": ["cut/left"] * len(time)}
     motion = motion_charts.motion_series(problem, plan, dataclasses.replace(proof, series=series))
-    (wire,) = motion.wires
-    assert wire.max_curvature == 40.0
+    (process,) = motion.processes
+    (level,) = process.charts[0].levels
+    assert level.value == 40.0
     assert len(motion.feed.time) == 2 * len(time) and motion.feed.upper[0] == 0.006
 
 

@@ -9,4 +9,5 @@ PROCESS: Final = Process(
     job="planner.processes.forming.plan.job:FormingJob",
     claims="planner.processes.forming.claims:CLAIMS",
     proof="planner.processes.forming.proof.contribution:PROOF",
+    report="planner.processes.forming.report:REPORT",
 )

@@ -9,10 +9,12 @@ ELASTIC_WIRE: Final = Process(
     job="planner.processes.hotwire.plan.elastic.job:ElasticJob",
     claims="planner.processes.hotwire.claims:CLAIMS",
     proof="planner.processes.hotwire.proof.contribution:PROOF",
+    report="planner.processes.hotwire.report:REPORT",
 )
 STRAIGHT_WIRE: Final = Process(
     schema="planner.processes.hotwire.plan.operation:Straight",
     job="planner.processes.hotwire.plan.straight.job:StraightJob",
     claims="planner.processes.hotwire.claims:CLAIMS",
     proof="planner.processes.hotwire.proof.contribution:PROOF",
+    report="planner.processes.hotwire.report:REPORT",
 )

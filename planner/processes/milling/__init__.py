@@ -9,4 +9,5 @@ PROCESS: Final = Process(
     job="planner.processes.milling.plan.job:MillingJob",
     claims="planner.processes.milling.claims:CLAIMS",
     proof="planner.processes.milling.proof.contribution:PROOF",
+    report="planner.processes.milling.report:REPORT",
 )
