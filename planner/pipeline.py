@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import gc
 import logging
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Any, Final
 
 from planner import spec
@@ -23,8 +25,9 @@ from planner.processes import registry as processes
 from planner.reading import problem as problem_file
 from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
-from planner.runtime import second_process
+from planner.runtime import plugins, second_process
 from planner.runtime.memory import gc_frozen, release_memory
+from planner.runtime.plugins import Process
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
@@ -146,9 +149,16 @@ def _read(document: Document) -> Problem:
     try:
         return problem_file.build(document, processes.readers())
     except TandemError as error:
-        from planner.processes.forming.plan.support.clearance import wider_mm
+        wider = functools.partial(_wider, document)
+        raise TandemError(size_advice.advised(document, error.issues, _changed, wider)) from None
 
-        raise TandemError(size_advice.advised(document, error.issues, _changed, wider_mm)) from None
+
+def _wider(document: Document, depth: float, rounded: bool) -> float:
+    """By how much [mm] an opening must be wider for tools that reach ``depth`` [mm] into its clamp: the most
+    that a process states."""
+    named = frozenset(operation["process"] for operation in document.data["operations"])
+    found = plugins.parts(Process, "wider", FunctionType, named)
+    return max((float(one(depth, rounded)) for one in found), default=0.0)
 
 
 def built(problem: Problem | spec.Problem) -> Problem:

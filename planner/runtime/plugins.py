@@ -35,7 +35,8 @@ class Process:
         claims: Tuple of the kinds of claims that only this process makes.
         codes: Mapping of issue codes to :class:`planner.issue_codes.Code`.
         proof: :class:`planner.proof.contribution.ProofOfProcess`: facts and rules.
-        report: :class:`planner.report.contribution.ReportOfProcess`: exhibits, and rows of the setup sheet.
+        report: :class:`planner.report.contribution.ReportOfProcess`: key figures, charts, setup sheet.
+        wider: :data:`planner.reading.size_advice.Wider`: how much larger an opening that was refused must be.
     """
 
     GROUP: ClassVar[str] = "tandem.processes"
@@ -46,6 +47,7 @@ class Process:
     codes: Reference | None = None
     proof: Reference | None = None
     report: Reference | None = None
+    wider: Reference | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,4 +10,5 @@ PROCESS: Final = Process(
     claims="planner.processes.forming.claims:CLAIMS",
     proof="planner.processes.forming.proof.contribution:PROOF",
     report="planner.processes.forming.report:REPORT",
+    wider="planner.processes.forming.plan.support.clearance:wider_mm",
 )
