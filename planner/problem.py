@@ -28,7 +28,6 @@ from planner.claims.sentences import (
 from planner.geometry.arrays import FloatArray, Mesh, Ruled, Shape, exp_rotation
 from planner.geometry.units import DEG
 from planner.issues import Issue
-from planner.reading.materials import WireFile
 from planner.tooling import Gripper, Tool
 
 KrlDialect = Literal["krc4", "krc2"]
@@ -289,6 +288,25 @@ class Obstacle:
 
 
 @dataclasses.dataclass(frozen=True)
+class BentWire:
+    """A wire or strip at hand in a cell.
+
+    Attributes:
+        material: Name in the table of materials.
+        length: Hot length between the clamps [m].
+        thickness: Diameter, or thickness of a strip [m].
+        width: Width of a strip [m], None for a round wire.
+        temperature: Temperature while it cuts [C].
+    """
+
+    material: str
+    length: float
+    thickness: float
+    width: float | None
+    temperature: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Cell:
     """Arms and obstacles; ``task`` names of the controller and the signal names are in ``controller``.
     ``grippers`` lie ready, from which one is chosen for a block that an arm holds, and ``wires`` are the bent
@@ -300,7 +318,7 @@ class Cell:
     obstacles: tuple[Obstacle, ...]
     controller: Controller
     grippers: tuple[Gripper, ...] = ()
-    wires: tuple[WireFile, ...] = ()
+    wires: tuple[BentWire, ...] = ()
     turntable: Turntable | None = None
 
     def arm(self, name: str) -> Arm:

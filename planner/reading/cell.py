@@ -447,7 +447,7 @@ def build(spec: CellFile, folder: Path) -> Cell:
     )
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
     rails.check_units(arms, controller)
-    wires = wires_at_hand(spec.wires or ())
+    wires = tuple(wire.value() for wire in wires_at_hand(spec.wires or ()))
     if spec.turntable is not None and spec.positioner is not None:
         what = "a turntable and a positioner under one block; state the one on which it stands"
         raise TandemError(Issue("problem.field", what, field="positioner"))

@@ -19,6 +19,7 @@ from planner.catalogue.materials import Foam, KerfFit, KerfTests, wire_material
 from planner.files import write_whole
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
+from planner.problem import BentWire
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Name, Positive, Strict
 
@@ -71,6 +72,27 @@ class WireFile(SectionFile):
     def __str__(self) -> str:
         return f"{self.material} {self.size} of {self.length_mm:g} mm"
 
+    def value(self) -> BentWire:
+        """The wire in SI units."""
+        thickness = self.thickness_mm if self.diameter_mm is None else self.diameter_mm
+        width = None if self.width_mm is None else self.width_mm * MM
+        length = self.length_mm * MM
+        return BentWire(self.material, length, (thickness or 0.0) * MM, width, self.temperature_c)
+
+    @staticmethod
+    def of(wire: BentWire) -> WireFile:
+        """The inverse of :meth:`value`, exact for figures of up to nine decimals."""
+        length, thickness = (round(value / MM, 9) for value in (wire.length, wire.thickness))
+        strip = wire.width is not None
+        return WireFile(
+            material=wire.material,
+            diameter_mm=None if strip else thickness,
+            width_mm=None if wire.width is None else round(wire.width / MM, 9),
+            thickness_mm=thickness if strip else None,
+            temperature_c=wire.temperature,
+            length_mm=length,
+        )
+
 
 class WiresFile(SectionFile):
     """Wires at hand of one section: one for each of the lengths."""
@@ -119,9 +141,10 @@ def _field(number: int, name: str, what: str) -> Issue:
     return Issue("problem.field", f"{field}: {what}", field=field)
 
 
-def wire_faults(wires: Sequence[WireFile], operations: Sequence[Any]) -> Iterator[Issue]:
+def wire_faults(at_hand: Sequence[BentWire], operations: Sequence[Any]) -> Iterator[Issue]:
     """``problem.field`` for operations with a bent wire that state none where the cell has none either, that
     state another one than those at hand, or whose power fits none of them."""
+    wires = [WireFile.of(wire) for wire in at_hand]
     for index, operation in enumerate(operations):
         if getattr(operation, "process", "") != "elastic_wire":
             continue

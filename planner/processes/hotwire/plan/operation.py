@@ -17,7 +17,7 @@ from planner.catalogue.materials import Foam
 from planner.claims.segments import fold
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
-from planner.problem import Controller, Stock
+from planner.problem import BentWire, Controller, Stock
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.kerf import width
 from planner.reading.materials import WireFile
@@ -169,11 +169,12 @@ class ElasticWire(HotWireOperation):
         known = {None: "any direction", 0.0: "x", 90.0: "y"}
         return known.get(self.degrees, f"{self.sweep} deg from x")
 
-    def wires(self, at_hand: tuple[WireFile, ...]) -> tuple[WireFile, ...]:
+    def wires(self, at_hand: tuple[BentWire, ...]) -> tuple[WireFile, ...]:
         """The wires that may cut: the stated one, else those ``at_hand`` in the cell whose kerf is known."""
         if self.wire is not None:
             return (self.wire,)
-        return tuple(w for w in at_hand if w.is_round or self.power_w is None)
+        wires = map(WireFile.of, at_hand)
+        return tuple(wire for wire in wires if wire.is_round or self.power_w is None)
 
     def using(self, wire: WireFile, sweep: float | None = None) -> ElasticWire:
         """This operation with a wire, and a sweep [deg from x], in place of what it leaves open."""

@@ -149,7 +149,8 @@ def _wires(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
     op = screen.op
     known = {(s.wire, s.degrees) for s in tried}
     wires = list(dict.fromkeys(s.wire for s in tried if s.wire is not None))
-    wires += [w for w in screen.setup.cell.wires if w not in wires and (w.is_round or op.power_w is None)]
+    at_hand = map(WireFile.of, screen.setup.cell.wires)
+    wires += [w for w in at_hand if w not in wires and (w.is_round or op.power_w is None)]
     looks = [screen.sweep(w, d) for w in wires for d in SWEEP_ANGLES if (w, d) not in known]
     made = _best(screen, fit, looks)
     if made is not None:

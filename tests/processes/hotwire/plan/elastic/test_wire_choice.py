@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
 
 from planner.claims.claim import OneOf
 from planner.geometry.arrays import Mesh
 from planner.issues import Issue, TandemError
-from planner.problem import Part, Setup
+from planner.problem import BentWire, Part, Setup
 from planner.processes.hotwire.claims import WireJoins
 from planner.processes.hotwire.plan.elastic.job import ElasticJob
 from planner.reading import materials
@@ -24,13 +26,22 @@ from tests.processes.hotwire.plan import panels
 STEEL = {"material": "spring_steel", "diameter_mm": 1.5, "temperature_c": 300}
 
 
-def wires(*lengths: float, **more: Any) -> tuple[WireFile, ...]:
-    return materials.wires_at_hand([WiresFile(**(STEEL | more), lengths_mm=lengths)])
+def wires(*lengths: float, **more: Any) -> tuple[BentWire, ...]:
+    found = materials.wires_at_hand([WiresFile(**(STEEL | more), lengths_mm=lengths)])
+    return tuple(wire.value() for wire in found)
 
 
-def setup(at_hand: tuple[WireFile, ...] = (), **block: Any) -> Setup:
+def setup(at_hand: tuple[BentWire, ...] = (), **block: Any) -> Setup:
     bare = panels.setup(panels.stock(**block))
     return dataclasses.replace(bare, cell=dataclasses.replace(bare.cell, wires=at_hand))
+
+
+@given(st.integers(50_000_000, 5_000_000_000), st.integers(200, 5000), st.integers(5000, 60_000))
+def test_a_wire_at_hand_keeps_the_figures_of_its_file(length: int, thickness: int, width: int) -> None:
+    common = {"material": "spring_steel", "length_mm": length / 1e6, "temperature_c": 300}
+    strip = WireFile(**common, thickness_mm=thickness / 1e3, width_mm=width / 1e3)
+    for wire in (strip, WireFile(**common, diameter_mm=thickness / 1e3)):
+        assert WireFile.of(wire.value()) == wire
 
 
 def open_operation(**more: Any) -> Any:
