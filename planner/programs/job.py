@@ -17,9 +17,11 @@ from typing import Final
 
 from planner.issues import TandemError
 from planner.languages.krl.reader import reader
-from planner.languages.rapid.reader.reader import MOST_KEPT, Flow, Limits, Task, flow, read_task
+from planner.languages.rapid.reader.program_text import RapidText
+from planner.languages.rapid.reader.reader import MOST_KEPT, Flow, Limits, flow, read_task
 from planner.languages.trajectories.reader import flow as trajectory_flow
 from planner.languages.trajectories.reader import rows as trajectory_rows
+from planner.languages.trajectories.reader.program_text import TrajectoryText
 from planner.languages.urscript.reader import flow as script_flow
 from planner.languages.urscript.reader import reader as script_reader
 from planner.problem import Arm, Problem, setups_of
@@ -32,7 +34,6 @@ from planner.programs.stages import (
     JobText,
     Stage,
     TaskText,
-    TrajectoryText,
     beside,
     parts,
     readings,
@@ -136,7 +137,7 @@ def controllers(problem: Problem, tasks: Sequence[TaskText]) -> tuple[tuple[Task
     alone = problem.cell.controller.sync == "handshake"
     out: dict[str, list[TaskText]] = {}
     for task in tasks:
-        one = task.rapid or task.trajectory is not None
+        one = task.text.language in ("rapid", "trajectories")
         out.setdefault("" if one and not alone else task.arm.name, []).append(task)
     return tuple(map(tuple, out.values()))
 
@@ -194,7 +195,9 @@ _Read = tuple[TaskText, Sequence[Fault], Sequence[Fault]]
 """A task, faults of its texts, and why it has no straight way."""
 
 
-def _followed(files: tuple[tuple[str, str], ...], most_bytes: int) -> tuple[Task, Flow, tuple[Fault, ...]]:
+def _followed(
+    files: tuple[tuple[str, str], ...], most_bytes: int
+) -> tuple[RapidText, Flow, tuple[Fault, ...]]:
     """Modules of a task by their names, all that they may do, and why they have no straight way."""
     text = read_task(dict(files), Limits(bytes=most_bytes))
     way, lost = Flow((), {}, {}, frozenset()), tuple[Fault, ...]()
@@ -216,7 +219,7 @@ def _rapid_task(problem: Problem, number: int, name: str, files: Mapping[str, st
     text, way, lost = (_kept if short else _followed)(tuple(files.items()), controller.max_bytes)
     unit = controller.units[number] if number < len(controller.units) else ""
     parts = (way.steps, way.handlers, way.undos, way.called)
-    task = TaskText(name, unit, problem.cell.arms[number], text.modules, *parts, files)
+    task = TaskText(name, unit, problem.cell.arms[number], text, *parts, files)
     return task, text.faults, lost
 
 
@@ -225,7 +228,8 @@ def _krl_task(problem: Problem, number: int, name: str, files: Mapping[str, str]
     text = reader.read(files, controller.max_bytes, controller.dialect)
     steps, entered, lost = tuple[Step, ...](), frozenset[str](), tuple[Fault, ...]()
     if not text.faults:
-        base = arm.base if text.base is None else text.base
+        declared = text.base_of(arm)
+        base = arm.base if declared is None else declared
         try:
             others = [other.name for other in problem.cell.arms if other.name != arm.name]
             signals = krl_signals(problem, arm)
@@ -233,7 +237,7 @@ def _krl_task(problem: Problem, number: int, name: str, files: Mapping[str, str]
         except FlowError as wrong:
             lost = wrong.faults
     called = frozenset(("", program) for program in entered)
-    return TaskText(name, "", arm, (), steps, {}, {}, called, files, text), text.faults, lost
+    return TaskText(name, "", arm, text, steps, {}, {}, called, files), text.faults, lost
 
 
 def _along(arm: Arm) -> dict[int, tuple[float, float, float]]:
@@ -269,7 +273,7 @@ def script_task(problem: Problem, arm: Arm, name: str, files: Mapping[str, str])
         except TandemError as wrong:
             what = wrong.issues[0].message
             lost = (Fault(1, 1, "urscript.flow", what, text.program.file),)
-    task = TaskText(name, "", arm, (), steps, {}, {}, frozenset(), files, None, text)
+    task = TaskText(name, "", arm, text, steps, {}, {}, frozenset(), files)
     return task, text.faults, lost
 
 
@@ -315,9 +319,7 @@ def _trajectory_tasks(
         if row.arm in arms:
             text = TrajectoryText(program, trajectory_flow.pose(row.base))
             way, none = steps.get(row.arm, ()), frozenset[tuple[str, str]]()
-            tasks.append(
-                TaskText(row.arm, row.arm, arms[row.arm], (), way, {}, {}, none, files, trajectory=text)
-            )
+            tasks.append(TaskText(row.arm, row.arm, arms[row.arm], text, way, {}, {}, none, files))
     return tasks, faults, lost
 
 

@@ -273,7 +273,8 @@ def _krl(problem: Problem, arm: Arm, name: str, unit: str, files: Mapping[str, s
     faults = [*text.faults, *(fault for file, own in files.items() for fault in strange(file, own))]
     way: list[MoveStep | Gap] = []
     if text.main is not None and text.data is not None:
-        base = arm.base if text.base is None else text.base
+        declared = text.base_of(arm)
+        base = arm.base if declared is None else declared
         panel = Panel(text.dialect, arm.name, ())
         runner = _Krl(text.programs, text.data, base, signals.krl_signals(problem, arm), panel)
         runner.begin(faults)

@@ -8,28 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from planner.geometry.arrays import FloatArray
-from planner.languages.krl.reader.reader import KrlText
-from planner.languages.rapid.reader.syntax_tree import Module
-from planner.languages.trajectories.reader import rows as trajectory_rows
-from planner.languages.urscript.reader.reader import ScriptText
 from planner.problem import Arm, Problem
 from planner.programs.handshake import automata
 from planner.programs.handshake.automata import Reading, Sections
+from planner.programs.program_text import ProgramText
 from planner.programs.steps import CallStep, Fault, MessageStep, MoveStep, SettingStep, Step, SyncStep
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class TrajectoryText:
-    """The program that moves an arm, perhaps with others, and the arm's ``base`` (4, 4) by it."""
-
-    program: trajectory_rows.Program
-    base: FloatArray
-
-    @property
-    def digest(self) -> str:
-        """The problem that the program names."""
-        return self.program.digest
 
 
 class Part(NamedTuple):
@@ -101,27 +84,29 @@ Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TaskText:
-    """One task: its arm, its modules, its straight way, its error handlers and UNDO sections, and the
-    procedures (module, name) that ever run. A KRL task has ``krl`` in place of modules, and no sections; so
-    has one of URScript its ``script``, and an arm of a trajectory file its ``trajectory``."""
+    """A task.
+
+    Attributes:
+        name: Name of the task.
+        unit: Mechanical unit of the arm.
+        arm: The arm that the task moves.
+        text: Text of the program.
+        steps: What the program does without errors, in order.
+        handlers: Error handlers by module and procedure. RAPID alone has them.
+        undos: UNDO sections by module and procedure. RAPID alone has them.
+        called: Procedures, as (module, name), that ever run.
+        files: Texts of the files by path.
+    """
 
     name: str
     unit: str
     arm: Arm
-    modules: tuple[Module, ...]
+    text: ProgramText
     steps: tuple[Step, ...]
     handlers: Handlers
     undos: Handlers
     called: frozenset[tuple[str, str]]
     files: Mapping[str, str]
-    krl: KrlText | None = None
-    script: ScriptText | None = None
-    trajectory: TrajectoryText | None = None
-
-    @property
-    def rapid(self) -> bool:
-        """Whether the task is RAPID."""
-        return self.krl is None and self.script is None and self.trajectory is None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import re
 from collections.abc import Collection, Mapping
 from functools import cached_property
 from typing import Any, Final, TypeVar
@@ -17,11 +16,10 @@ import numpy as np
 from planner.claims.claim import ArmSags, Claim, ContactOnlyIn, FeedWindow, HoldsStock
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.issues import Issue
-from planner.languages.rapid.reader.syntax_tree import Data, Literal, build
-from planner.problem import END, Arm, Problem, Setup, Stock, setups_of
+from planner.problem import END, Problem, Setup, Stock, setups_of
 from planner.programs import job as job_text
 from planner.programs.stages import JobText, Stage, TaskText
-from planner.programs.steps import BASE_FRAME, MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
+from planner.programs.steps import MOST_OUTER, MessageStep, MoveStep, Step, WorkObject
 from planner.proof import setups
 from planner.proof.facts import Fact, Facts
 from planner.proof.kinematics import arm_model
@@ -164,15 +162,6 @@ class Context:
         """Whether the tasks pass the same synchronisation points, so that a motion follows from the text."""
         return self.readable and bool(self.job.stages)
 
-    def data(self, task: TaskText, pattern: str) -> list[Data]:
-        """Declarations of a task whose names match a regular expression, any case."""
-        return [
-            data
-            for module in task.modules
-            for data in module.data
-            if re.fullmatch(pattern, data.name, re.IGNORECASE)
-        ]
-
     def moves(self) -> list[tuple[int, Stage, TaskText, tuple[MoveStep, ...]]]:
         """Moves of each stage and task that has any."""
         return [
@@ -241,31 +230,7 @@ class Context:
     @cached_property
     def declared_bases(self) -> dict[str, FloatArray | None]:
         """The base frame that each task's text asks of the controller, None where it states none."""
-        out: dict[str, FloatArray | None] = {}
-        for task in self.job.tasks:
-            if task.krl is not None:
-                out[task.arm.name] = task.krl.base
-                continue
-            if task.trajectory is not None:
-                out[task.arm.name] = task.trajectory.base
-                continue
-            if task.script is not None:
-                out[task.arm.name] = self._foot(task.arm, task.script.base)
-                continue
-            found = [d for d in self.data(task, BASE_FRAME) if d.kind == "pose"]
-            literal = found[0].initial if len(found) == 1 else None
-            value = None
-            if isinstance(literal, Literal):
-                value = build("pose", literal.value) if literal.kind == "list" else literal.value
-            out[task.arm.name] = value
-        return out
-
-    @staticmethod
-    def _foot(arm: Arm, base: FloatArray | None) -> FloatArray | None:
-        """The base (4, 4) of a UR arm, given that which its controller counts in."""
-        if base is None:
-            return None
-        return np.asarray(base @ inverse(arm_model.machine_of(arm.data).table.base))
+        return {task.arm.name: task.text.base_of(task.arm) for task in self.job.tasks}
 
     @cached_property
     def stations(self) -> dict[int, dict[str, float]]:

@@ -286,7 +286,7 @@ def _partner(context: Context, task: TaskText) -> str:
 
 def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
     first = bool(context.setups[0].steps)
-    krl, lead = not task.rapid, task is context.job.tasks[0]
+    krl, lead = task.text.language != "rapid", task is context.job.tasks[0]
     if krl:
         question = sentences.KRL_CLEAR if first else sentences.KRL_READY
     else:
@@ -294,13 +294,17 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
     partner = _partner(context, task)
     if partner:
         asked = krl_sentences.KRL_EARLIER if krl else sentences.EARLIER
-        if task.script is not None:
+        if task.text.language == "urscript":
             asked = urscript_sentences.UR_EARLIER if lead else urscript_sentences.UR_CALLED
         earlier = question_step(asked, other=partner)
         if not lead:
             return earlier, message_step(sentences.READY_TO_MEET, other=partner)
         both = {"other": partner, "arm": task.arm.name, "start": question.words}
-        called = sentences.START_PARTNER if task.script is None else urscript_sentences.UR_START_PARTNER
+        called = (
+            sentences.START_PARTNER
+            if task.text.language != "urscript"
+            else urscript_sentences.UR_START_PARTNER
+        )
         return (
             earlier,
             message_step(called, other=partner),

@@ -19,6 +19,7 @@ from planner.issues import Issue, TandemError
 from planner.problem import Problem
 from planner.programs import partial
 from planner.programs.partial import KNOWN_MOVES, Gap, Read
+from planner.programs.program_text import NO_TEXT
 from planner.programs.stages import JobText, Stage, TaskText
 from planner.programs.steps import JointTarget, MoveStep, RobTarget, StatusTarget
 from planner.proof.clearance.samples import least_distances
@@ -228,8 +229,8 @@ def _prove(
     arms = [arm for arm in problem.cell.arms if arm.name != one.arm.name]
     own = dataclasses.replace(one.arm, home=start)
     tasks = [
-        TaskText(one.name, one.unit, own, (), tuple(run), {}, {}, frozenset(), one.files),
-        *(TaskText(arm.name, "", arm, (), (), {}, {}, frozenset(), {}) for arm in arms),
+        TaskText(one.name, one.unit, own, NO_TEXT, tuple(run), {}, {}, frozenset(), one.files),
+        *(TaskText(arm.name, "", arm, NO_TEXT, (), {}, {}, frozenset(), {}) for arm in arms),
     ]
     stage = Stage(False, None, {task.name: task.steps for task in tasks})
     context = Context(problem, {}, programs)

@@ -63,7 +63,7 @@ def controller_files(context: Context) -> Outcome:
         count += len(signals)
         partner = Partner(controller, tasks[0].arm.name) if joined else None
         lit = power_at_stops.torches(context, signals)
-        if tasks[0].krl is None:
+        if tasks[0].text.language != "krl":
             names = [controller.tasks[_place(context, task)] for task in tasks]
             others = _others(controller, tasks, signals, partner)
             faults = _abb(controller, names, signals, lit, others, files, partner)
@@ -115,7 +115,7 @@ def _powered(context: Context, joined: bool) -> list[tuple[str, tuple[TaskText, 
     alone = context.problem.cell.controller.sync == "handshake"
     out: list[tuple[str, tuple[TaskText, ...], list[str]]] = []
     for tasks in controllers(context.problem, context.job.tasks):
-        if tasks[0].script is not None or tasks[0].trajectory is not None:
+        if tasks[0].text.language in ("urscript", "trajectories"):
             continue  # these take no files: an installation is set at the panel, a runner by its cell
         steps = [step for task in tasks for step in task.steps if isinstance(step, SignalStep)]
         own = context.problem.cell.controller.handshake.of(tasks[0].arm.name).output.lower()
@@ -332,9 +332,9 @@ def cell_check(context: Context) -> Outcome:
     the flange, at home, where the plan has it within 10 mm."""
     issues: list[Issue] = []
     for task in context.job.tasks:
-        if task.script is not None:
+        if task.text.language == "urscript":
             issues += [at_step(CELL_CHECK, fault, task, step) for step, fault in robot_check_faults(task)]
-        if task.rapid:
+        if task.text.language == "rapid":
             issues += [
                 Issue(CELL_CHECK, fault, arm=task.arm.name, file=file, hint="plan again; copy all modules")
                 for file, fault in check_faults(context, task)

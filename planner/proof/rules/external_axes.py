@@ -55,9 +55,9 @@ def external_axes(context: Context) -> Outcome:
     table = context.problem.cell.turntable
     for task in context.job.tasks:
         axes = outer_axes(task.arm, table)
-        issues += _units(task, axes) if task.rapid else ()
+        issues += _units(task, axes) if task.text.language == "rapid" else ()
         if axes:
-            issues += _offsets(task, axes) if task.rapid else ()
+            issues += _offsets(task, axes) if task.text.language == "rapid" else ()
             issues += _looked(context, task, axes)
             issues += _values(context, task, axes)
         for axis in axes:
@@ -132,7 +132,7 @@ def _looked(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
             break
         looks.append(step)
     for axis in axes:
-        if task.rapid:  # what is compared there is for verify.cell_check
+        if task.text.language == "rapid":  # what is compared there is for verify.cell_check
             seen = any(look.kind == AXES_CHECK for look in looks)
         else:
             dialect = context.problem.cell.controller.dialect
@@ -162,7 +162,7 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
-            wrong = _unfit(move, axes, task.rapid)
+            wrong = _unfit(move, axes, task.text.language == "rapid")
             if wrong:
                 yield at_step(_CODE, wrong, task, move)
                 return  # where things stand from here on is not known

@@ -190,11 +190,14 @@ def handshake(context: Context) -> Outcome:
             issues += [at_step(HANDSHAKE, what, task, task.steps[action.line]) for action in lone[:1]]
         return Outcome(tuple(issues), nothing="one program")
     issues += [
-        issue for task in context.job.tasks if task.script is not None for issue in _watched(context, task)
+        issue
+        for task in context.job.tasks
+        if task.text.language == "urscript"
+        for issue in _watched(context, task)
     ]
     issues += _exchanged(context)
     found, states = _model(context, wiring, bool(issues))
-    if any(task.script is not None for task in context.job.tasks) and not (issues or found):
+    if any(task.text.language == "urscript" for task in context.job.tasks) and not (issues or found):
         found, more = _restarts(context, wiring)
         states += more
     issues += found
@@ -282,7 +285,7 @@ def _restarts(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
     """Faults of two programs that begin anew behind each stop, and how many states were looked at."""
     tasks, readings = context.job.tasks, context.job.readings or {}
     own = context.problem.cell.controller.handshake
-    if any(task.script is None for task in tasks) or own.kind != "four_phase":
+    if any(task.text.language != "urscript" for task in tasks) or own.kind != "four_phase":
         what = (
             "a program of URScript, which begins anew behind a stop, meets another one of its like alone, by "
         )
@@ -378,7 +381,7 @@ def _watched(context: Context, task: TaskText) -> list[Issue]:
 def _exchanged(context: Context) -> list[Issue]:
     """Two controllers of UR on which each other's programs would run: numbers alone tell them apart."""
     tasks, controller = context.job.tasks, context.problem.cell.controller
-    if any(task.script is None for task in tasks):
+    if any(task.text.language != "urscript" for task in tasks):
         return []
     issues = []
     for task, other in (tasks, tasks[::-1]):

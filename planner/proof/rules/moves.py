@@ -54,17 +54,19 @@ def unknown_start(context: Context) -> Outcome:
     limit = min(BLIND_SPEED, context.problem.settings.tcp_speed)
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
-        if task.trajectory is not None:
+        if task.text.language == "trajectories":
             continue  # verify.start_posture: nothing moves from a place that is not known
         if moves:
-            share, faults = _rapid(moves[0], limit) if task.rapid else _shares(task, moves[0])
+            share, faults = (
+                _rapid(moves[0], limit) if task.text.language == "rapid" else _shares(task, moves[0])
+            )
             worst = max(worst, share)
             told.setdefault(_words(moves[0]), []).append(task.arm.name)
             found += [at_step(UNKNOWN_START, f"start not known: {fault}", task, moves[0]) for fault in faults]
-        for move in moves if task.rapid else ():
+        for move in moves if task.text.language == "rapid" else ():
             found += [at_step(UNKNOWN_START, fault, task, move) for fault in _stated(move)]
     words = "; ".join(f"{stated} ({', '.join(arms)})" for stated, arms in told.items())
-    looked = any(task.trajectory is not None for task in context.job.tasks)
+    looked = any(task.text.language == "trajectories" for task in context.job.tasks)
     none = "each move begins where it was looked at" if looked else "nothing moves"
     where, nothing = f"start not known: at most {words}", "" if told else none
     return Outcome(tuple(found), 100.0 * worst, 100.0, "% of the speed allowed", where, nothing)
@@ -128,7 +130,7 @@ def move_kinds(context: Context) -> Outcome:
     the axes may, and movel."""
     issues = []
     for task in context.job.tasks:
-        if not task.rapid:
+        if task.text.language != "rapid":
             if not outer_axes(task.arm, context.problem.cell.turntable):  # else verify.external_axes looks
                 issues += krl_moves.move_kinds(task)
             issues += krl_moves.accelerations(task)
@@ -169,12 +171,12 @@ def zone_size(context: Context) -> Outcome:
     goes along begins where that of the tool does, to 5 mm."""
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
-        if task.krl is not None:
+        if task.text.language == "krl":
             found, over = krl_moves.corners(task, moves)
             issues += found
             worst = max(worst, over)
             continue
-        if task.trajectory is not None:
+        if task.text.language == "trajectories":
             continue  # no corner is rounded there
         ways = [straight_way(a, b) for a, b in itertools.pairwise(moves)]
         rides = any(axis.follow is not None for axis in outer_axes(task.arm, None))
@@ -225,7 +227,9 @@ def zero_length(context: Context) -> Outcome:
                     continue
                 what = f"the movel goes nowhere; {STAND} waits in place of it"
                 alone = (
-                    (task, move) for task, move in still if task.script is not None and move.kind != STAND
+                    (task, move)
+                    for task, move in still
+                    if task.text.language == "urscript" and move.kind != STAND
                 )
                 issues += [at_step("verify.zero_length", what, task, move) for task, move in alone]
     return Outcome(tuple(issues))

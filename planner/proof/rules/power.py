@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from planner.issues import Issue
+from planner.languages.rapid.reader.program_text import modules_of
 from planner.processes.forming.claims import SinksHolder
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.job import controllers
@@ -53,7 +54,7 @@ def signals(context: Context) -> Outcome:
                 file=task.name,
                 line=data.line,
             )
-            for module in task.modules
+            for module in modules_of(task.text)
             for data in module.data
             if data.kind.startswith("signal")
         ]

@@ -77,7 +77,7 @@ def continuity(context: Context) -> Outcome:
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
         edges = zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False)
-        if task.trajectory is not None:  # verify.start_posture has it begin at home
+        if task.text.language == "trajectories":  # verify.start_posture has it begin at home
             edges = zip(moves[-1:], ("last",), strict=False)
         for move, word in edges:
             if not at_home(move, task.arm.data, task.arm.home):
@@ -207,13 +207,13 @@ def _rates(
             if share[i] > worst:
                 worst, where = float(share[i]), f"{arm} axis {joint + 1}"
             over |= share > 1.0
-        if task.trajectory is not None:  # samples may lie beside the peak of a short cubic
+        if task.text.language == "trajectories":  # samples may lie beside the peak of a short cubic
             share, line = trajectory_peaks(task, word == "speed")
             if share > worst:
                 worst, where = share, f"{arm}, line {line}"
             if share > 1.0 and not over.any():
                 what = f"between two points a joint of {arm} would need {100.0 * share:.1f} % of its {word}"
-                issues.append(Issue(code, what, arm=arm, line=line, file=task.trajectory.program.file))
+                issues.append(Issue(code, what, arm=arm, line=line, file=min(task.files)))
         nodes = np.unique(context.motion.node[over])
         share = np.abs(rates(arm, slice(None))) / limit if len(nodes) else np.zeros((0, len(limit)))
         for node in nodes[:200]:
@@ -273,7 +273,7 @@ def tcp_speed(context: Context) -> Outcome:
     limit = context.problem.settings.tcp_speed
     for task in context.job.tasks:
         arm = task.arm.name
-        if task.trajectory is not None:
+        if task.text.language == "trajectories":
             own = tool_speeds(context)[arm]
             k = int(np.argmax(own.world)) if len(own.world) else 0
             if len(own.world) and own.world[k] > worst:

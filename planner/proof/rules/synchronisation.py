@@ -191,7 +191,7 @@ def move_time(context: Context) -> Outcome:
         if move.time is not None and move.time < LEAST_MOVE_TIME
     ]
     for a_task, a, b_task, b in _pairs(context):
-        if a_task.krl is not None or b_task.krl is not None:
+        if a_task.text.language == "krl" or b_task.text.language == "krl":
             issues += pair_times(a_task, a, b_task, b)
         elif a.time is not None and b.time is not None:
             # a time of RAPID is held in single precision, in whatever language the other one is

@@ -19,11 +19,11 @@ from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 from planner.issues import Issue, Severity
-from planner.languages.krl.rules import moves as krl_moves
-from planner.languages.rapid.reader.syntax_tree import QUATERNION_TOLERANCE, Literal
+from planner.languages.rapid.reader.program_text import modules_of
+from planner.languages.rapid.reader.syntax_tree import QUATERNION_TOLERANCE
 from planner.programs.job import TRAJECTORY, speaks_trajectories, task_names
 from planner.programs.stages import JobText, TaskText
-from planner.programs.steps import DIGEST, Fault, MoveStep
+from planner.programs.steps import Fault, MoveStep
 from planner.programs.text import changed, strange
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, rule, target
@@ -79,7 +79,7 @@ def marks(job: JobText) -> Marks:
         places = moves.setdefault(task.arm.name, {})
         found: list[Changed] = []
         steps = [step for step in task.steps if isinstance(step, MoveStep)]
-        where = _declared(task) | {_short(task, file): file for file in task.files}
+        where = {**task.text.targets, **{task.text.module_of(file): file for file in task.files}}
         for number, step in enumerate(steps):
             places.setdefault((step.module, step.line), []).append((number, target(step)))
             file, line = _stands(task, step, where)
@@ -170,25 +170,6 @@ def _digits(number: str) -> int:
     return len(number.strip().upper().partition("E")[0].lstrip("+-0.").replace(".", ""))
 
 
-def _short(task: TaskText, file: str) -> str:
-    """What steps call a file: its module in RAPID, its name in KRL."""
-    return next((m.name for m in task.modules if m.file == file), file.rpartition("/")[2])
-
-
-def _declared(task: TaskText) -> dict[str, str]:
-    """Places of named targets as "file:line", by their name in lower case behind a colon."""
-    out = {}
-    for module in task.modules:
-        for data in module.data:
-            if data.kind == "robtarget":
-                out[f":{data.name.lower()}"] = f"{module.file}:{data.line}"
-    if task.krl is not None and task.krl.data is not None:
-        for name, item in task.krl.data.items.items():
-            if item.kind == "e6pos":
-                out[f":{name}"] = f"{task.krl.data.file}:{item.line}"
-    return out
-
-
 def _stands(task: TaskText, step: MoveStep, where: dict[str, str]) -> tuple[str, int]:
     """File and line of the numbers that a move goes to."""
     named = where.get(f":{step.target_name.lower()}") if step.target_name else None
@@ -246,7 +227,7 @@ def persistents(context: Context) -> Outcome:
     shared = [
         Issue("verify.pers_literal", f"PERS {data.name} is shared with the other tasks", file=task.name)
         for task in context.job.tasks
-        for module in task.modules
+        for module in modules_of(task.text)
         for data in module.data
         if data.storage == "PERS" and data.kind != "tasks"
     ]
@@ -276,19 +257,11 @@ def module_size(context: Context) -> Outcome:
         if f.kind in _SIZES
     ]
     limit, worst = context.problem.cell.controller.max_moves, 0
-    for task in context.job.tasks:
-        found, most = krl_moves.sizes(context, task)
-        issues += found
-        worst = max(worst, most)
-        for module in task.modules:
-            steps = (step for p in module.procedures for step in p.body)
-            count = sum(type(step).__name__ == "Move" for step in steps)
-            worst = max(worst, count)
-            if count > limit:
-                message = f"module {module.name} has {count} moves; allowed: {limit}"
-                issues.append(
-                    Issue("verify.module_size", message, file=module.file, value=count, limit=limit)
-                )
+    for size in dict.fromkeys(size for task in context.job.tasks for size in task.text.sizes):
+        worst = max(worst, size.moves)
+        if size.moves > limit:
+            message = f"{size.part} has {size.moves} {size.unit}; allowed: {limit}"
+            issues.append(Issue("verify.module_size", message, file=size.file, value=size.moves, limit=limit))
     return Outcome(tuple(issues), worst, limit, "moves")
 
 
@@ -303,7 +276,7 @@ def decimals(context: Context) -> Outcome:
     ]
     worst = 0.0
     for task in context.job.tasks:
-        if not task.rapid:
+        if task.text.language != "rapid":
             continue  # angles are of no length
         for step in task.steps:
             if isinstance(step, MoveStep) and not step.by_joints:
@@ -346,7 +319,7 @@ def files(context: Context) -> Outcome:
         for path in job.strays
     ]
     for task in job.tasks:
-        for module in task.modules:
+        for module in modules_of(task.text):
             if PurePosixPath(module.file).stem.lower() != module.name.lower():
                 what = f"{module.file} holds the module {module.name}; the list of modules goes by file names"
                 hint = f"rename the file {module.name}{PurePosixPath(module.file).suffix}"
@@ -395,7 +368,7 @@ def _list(context: Context, path: str, text: str) -> list[Issue]:
     listed = sorted((item.text or "").strip().lower() for item in root)
     for task in context.job.tasks:
         if any(_folder(file) == _folder(path) for file in task.files):
-            there = sorted(PurePosixPath(module.file).name.lower() for module in task.modules)
+            there = sorted(PurePosixPath(module.file).name.lower() for module in modules_of(task.text))
             if listed != there:
                 message = f"the list names {', '.join(listed)}; the task's modules are {', '.join(there)}"
                 return [Issue("verify.files", message, file=path, hint="list every module once")]
@@ -418,13 +391,7 @@ def digest(context: Context) -> Outcome:
     """The programs were written for this very problem."""
     issues = []
     for task in context.job.tasks:
-        found = [
-            data.initial.value
-            for data in context.data(task, rf"{DIGEST}(_\d+)?")
-            if isinstance(data.initial, Literal) and data.kind == "string"
-        ]
-        other = task.krl or task.script or task.trajectory
-        text = "".join(str(part) for part in found) if other is None else other.digest
+        text = task.text.digest
         if text != context.problem.digest:
             message = (
                 f"task {task.name} states the problem {text[:12] or '(none)'}..., "

@@ -308,7 +308,7 @@ def _answers(context: Context) -> Iterator[Issue]:
     for task, other in (tasks, tasks[::-1]):
         mine, theirs = readings[task.name], readings[other.name]
         asks = _intervals(other, theirs, _asks)
-        midway = asks.copy() if other.script is not None else set[int]()
+        midway = asks.copy() if other.text.language == "urscript" else set[int]()
         asks |= _intervals(other, theirs, _moves) - _intervals(task, mine, _moves)
         travels = _travels(context, other, theirs)
         most = max(handshake.patience, handshake.timeout) + 1.0 + _busy(other) + sum(travels.values())

@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, Severity, TandemError
+from planner.languages.rapid.reader.program_text import modules_of
 from planner.problem import Arm, Problem
 from planner.programs.stages import TaskText
 from planner.programs.steps import SignalStep, WaitStep, poses
@@ -214,7 +215,7 @@ def _data(rws: Rws, problem: Problem, task: TaskText) -> tuple[list[str], list[s
         loaded = {module.lower() for module in rws.modules(name)}
     except TandemError as error:
         return [], [f"tools and work objects of {name}: {error.issues[0].message}"], []
-    for module in task.modules:
+    for module in modules_of(task.text):
         for datum in module.data:
             if datum.kind not in DATA or datum.size is not None:
                 continue

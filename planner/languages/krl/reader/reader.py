@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
+from typing import ClassVar
 
 from planner.geometry.arrays import FloatArray
 from planner.languages.krl.reader.flow import Runner
@@ -25,6 +26,8 @@ from planner.languages.krl.reader.syntax_tree import (
     Statement,
     Straight,
 )
+from planner.problem import Arm
+from planner.programs.program_text import ProgramText, Size
 from planner.programs.signals import Signals
 from planner.programs.steps import BASE_FRAME, DIGEST, Fault, Step
 
@@ -36,9 +39,11 @@ _MOVE_WORDS: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class KrlText:
+class KrlText(ProgramText):
     """The programs of one arm. `programs` by name in lower case; `data` None where there is no data list; all
     `faults`; the `dialect` of the controller."""
+
+    language: ClassVar[str] = "krl"
 
     programs: Mapping[str, Program]
     data: DataList | None
@@ -50,9 +55,8 @@ class KrlText:
         """The main program: the one that has the data list's name."""
         return None if self.data is None else self.programs.get(self.data.name.lower())
 
-    @property
-    def base(self) -> FloatArray | None:
-        """The base frame (4, 4) that the data list states, None without one."""
+    def base_of(self, arm: Arm) -> FloatArray | None:
+        """Return the base frame that the data list states."""
         item = None if self.data is None else self.data.items.get(BASE_FRAME)
         return item.value if item is not None and item.kind == "frame" else None
 
@@ -61,6 +65,19 @@ class KrlText:
         """The problem that the data list names."""
         item = None if self.data is None else self.data.items.get(DIGEST)
         return str(item.value) if item is not None and item.kind == "char" else ""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Number of moves of each program."""
+        return tuple(Size(one.file, one.file, one.moves) for one in self.programs.values())
+
+    @property
+    def targets(self) -> Mapping[str, str]:
+        """Places of the targets with Status and Turn."""
+        if self.data is None:
+            return {}
+        items = self.data.items.items()
+        return {f":{name}": f"{self.data.file}:{item.line}" for name, item in items if item.kind == "e6pos"}
 
 
 def read(files: Mapping[str, str], most_bytes: int, dialect: str) -> KrlText:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from planner.issues import Issue
+from planner.languages.krl.reader.reader import KrlText
 from planner.programs.stages import TaskText
 from planner.programs.steps import MOST_OUTER, JointTarget, MoveStep, PassedTarget, RobTarget, StatusTarget
 from planner.proof.context import Context
@@ -58,34 +59,11 @@ def accelerations(task: TaskText) -> list[Issue]:
     return out
 
 
-def sizes(context: Context, task: TaskText) -> tuple[list[Issue], int]:
-    """Files with more moves than the problem allows, and the most that one has."""
-    limit, most, out = context.problem.cell.controller.max_moves, 0, []
-    for program in task.krl.programs.values() if task.krl else ():
-        most = max(most, program.moves)
-        if program.moves > limit:
-            what = f"{program.file} has {program.moves} moves; allowed: {limit}"
-            out.append(Issue("verify.module_size", what, file=program.file, value=program.moves, limit=limit))
-    if task.trajectory is not None:
-        driven = task.trajectory.program
-        most = driven.points
-        if most > limit and task.arm.name == driven.arms[0].arm:
-            what = f"{driven.file} has {most} points; allowed: {limit}"
-            out.append(Issue("verify.module_size", what, file=driven.file, value=most, limit=limit))
-    script = None if task.script is None else task.script.program
-    if script is not None:
-        most = script.moves
-        if most > limit:
-            what = f"{script.file} has {most} moves; allowed: {limit}"
-            out.append(Issue("verify.module_size", what, file=script.file, value=most, limit=limit))
-    return out, most
-
-
 def hidden(task: TaskText) -> list[Issue]:
     """Programs that nothing calls."""
     return [
         Issue("verify.hidden", f"{program.name}() is never called", arm=task.arm.name, file=program.file)
-        for name, program in (task.krl.programs.items() if task.krl else ())
+        for name, program in (task.text.programs.items() if isinstance(task.text, KrlText) else ())
         if ("", name) not in task.called
     ]
 
@@ -135,7 +113,7 @@ def pair_times(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep) -> 
         return
     for task, move, other in ((a_task, a, b), (b_task, b, a)):
         early = move.time < (1.0 - PAIR_TIME_SHARE) * other.time if move.time and other.time else False
-        if early and not (task.krl is not None and _creeps(move)):
+        if early and not (isinstance(task.text, KrlText) and _creeps(move)):
             what = f"the move takes {move.time:.5f} s; the other arm's takes {other.time:.5f} s meanwhile"
             yield at_step("verify.move_time", what, task, move)
 

@@ -32,6 +32,7 @@ from planner.languages.rapid.reader.lexer import (
     bad_token,
     shown,
 )
+from planner.languages.rapid.reader.program_text import RapidText
 from planner.languages.rapid.reader.syntax_tree import (
     ALL_TYPES,
     Assign,
@@ -356,7 +357,7 @@ __all__ = [
     "Flow",
     "FlowError",
     "Limits",
-    "Task",
+    "RapidText",
     "flatten",
     "flow",
     "handlers",
@@ -369,14 +370,6 @@ _COMPARES = re.compile(
     r"(?is)(?<=PROC check_(?:cell|axes)\(\)).*?(?=^\s*ERROR\b)|^\s*PROC check_pose\b.*(?=^\s*ENDMODULE)",
     re.M,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """What was read: the modules that have at least a frame, and all faults of all files."""
-
-    modules: tuple[Module, ...]
-    faults: tuple[Fault, ...]
 
 
 def masked(text: str) -> str:
@@ -425,7 +418,7 @@ def _kept(text: str, file: str, limits: Limits | None) -> tuple[Module | None, t
 
 def read_task(
     files: Mapping[str, str | bytes], limits: Limits | None = None, signals: Iterable[str] | None = None
-) -> Task:
+) -> RapidText:
     """All modules of one task (file name -> text). `signals`: names of the configured signals, None to
     allow any name.
 
@@ -449,4 +442,4 @@ def read_task(
         names[module.name.lower()] = file
         modules.append(module)
     checker = Checker(modules, None if signals is None else frozenset(signals))
-    return Task(tuple(modules), (*faults, *checker.run()))
+    return RapidText(tuple(modules), (*faults, *checker.run()))

@@ -9,6 +9,7 @@ from pathlib import PurePosixPath
 from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.reader.configuration import rapid_words
 from planner.languages.rapid.reader.flow import CHECK_MODULE
+from planner.languages.rapid.reader.program_text import modules_of
 from planner.languages.rapid.reader.reader import masked
 from planner.languages.rapid.reader.syntax_tree import Instruction, Literal, ProcCall
 from planner.programs.stages import TaskText
@@ -64,7 +65,7 @@ def _shown_call(call: str) -> str:
 
 def _called(task: TaskText) -> bool:
     """Whether ``main`` begins with the call."""
-    mains = [p for module in task.modules for p in module.procedures if p.name.lower() == "main"]
+    mains = [p for module in modules_of(task.text) for p in module.procedures if p.name.lower() == "main"]
     for statement in mains[0].body if len(mains) == 1 else ():
         if isinstance(statement, ProcCall):
             return statement.name.lower() == "check_cell"
@@ -143,7 +144,7 @@ def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
         read += f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;'
         read += f"cfg_base.rot.q{part + 1}:=cfg_value;"
     calls = f'check_pose "{rapid_sentences.base_of(task.arm.name)}",cfg_base,{BASE_FRAME};'
-    for data in context.data(task, r"\w+"):
+    for data in (data for module in modules_of(task.text) for data in module.data):
         if not isinstance(data.initial, Literal) or data.kind not in ("tooldata", "wobjdata"):
             continue
         calls += _compared(data.name, data.kind, _raw(task, data.name))

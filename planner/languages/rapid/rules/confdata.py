@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from planner.issues import Issue
+from planner.languages.rapid.reader.program_text import RapidText
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep, RobTarget
 from planner.proof.context import Context
@@ -23,7 +24,7 @@ def confdata(context: Context) -> Outcome:
     issues, worst = [], 0.0
     for task in context.job.tasks:
         arm = task.arm.name
-        if not task.rapid:
+        if not isinstance(task.text, RapidText):
             continue  # verify.status asks the same of KRL; movel keeps the posture that movej has reached
         if task.arm.data.unnamed:
             # such arms run with ConfL\Off; with parallel rods the numbers of single axes mean what they say

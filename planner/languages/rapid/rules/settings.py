@@ -6,6 +6,7 @@ from pathlib import PurePosixPath
 
 from planner.issues import Issue
 from planner.languages.krl.rules import moves
+from planner.languages.rapid.reader.program_text import RapidText, modules_of
 from planner.languages.rapid.reader.syntax_tree import Module
 from planner.processes.trim.claims import TrimsSheet
 from planner.programs.stages import TaskText, sync_points
@@ -35,8 +36,8 @@ def undo(context: Context) -> Outcome:
     wanted = False
     for task in context.job.tasks:
         signals, blocks = powers(context, task), _blocks(task)
-        wanted |= bool(signals or blocks) and task.rapid
-        for module in task.modules:
+        wanted |= bool(signals or blocks) and isinstance(task.text, RapidText)
+        for module in modules_of(task.text):
             for procedure in module.procedures:
                 steps = task.undos.get((module.name, procedure.name))
                 faults = _faults(steps, signals, blocks)
@@ -124,7 +125,7 @@ def error_handler(context: Context) -> Outcome:
     many = len(context.job.tasks) > 1 and context.job.readings is None
     for task in context.job.tasks:
         signals = powers(context, task)
-        for module in task.modules:
+        for module in modules_of(task.text):
             for procedure in module.procedures:
                 handler = task.handlers.get((module.name, procedure.name))
                 faults = ["it has none"] if handler is None else _handler_faults(handler, signals, many)
@@ -223,7 +224,7 @@ def hidden(context: Context) -> Outcome:
     issues = []
     for task in context.job.tasks:
         issues += moves.hidden(task)
-        for module in task.modules:
+        for module in modules_of(task.text):
             issues += [
                 Issue(
                     "verify.hidden",

@@ -12,6 +12,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, dots, exp_rotation, inverse, log_rotation
 from planner.issues import Issue
 from planner.languages.trajectories.reader.flow import columns, pose
+from planner.languages.trajectories.reader.program_text import TrajectoryText
 from planner.languages.trajectories.reader.rows import (
     AtRow,
     CarryRow,
@@ -61,8 +62,9 @@ _NONE: Final = "no trajectories"
 def _programs(context: Context) -> Iterator[tuple[TaskText, Program]]:
     """Each file of trajectories with the first task that it drives."""
     for task in context.job.tasks:
-        if task.trajectory is not None and task.arm.name == task.trajectory.program.arms[0].arm:
-            yield task, task.trajectory.program
+        text = task.text
+        if isinstance(text, TrajectoryText) and task.arm.name == text.program.arms[0].arm:
+            yield task, text.program
 
 
 def _at(code: str, message: str, program: Program, row: Row, hint: str | None = None) -> Issue:
@@ -176,7 +178,7 @@ def _begins(
         return [_at(code, "the first point of this move is not where it begins, at rest", program, row)]
     out, place = list[Issue](), columns(program)
     for task in context.job.tasks:
-        if task.trajectory is None or task.trajectory.program is not program:
+        if not isinstance(task.text, TrajectoryText) or task.text.program is not program:
             continue
         arm = task.arm
         q, tool = np.array(first.q)[place[arm.name]], tools.get(arm.name, arm.tool.tcp)
@@ -264,7 +266,7 @@ def between_points(context: Context) -> Outcome:
     code, worst, found = "verify.between_points", 0.0, False
     motion = context.motion
     for task in context.job.tasks:
-        if task.trajectory is None:
+        if not isinstance(task.text, TrajectoryText):
             continue
         arm, found = task.arm.name, True
         work, before, after, holders = work_nodes(context, task)

@@ -9,18 +9,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import PurePosixPath
+from typing import ClassVar
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, exp_rotation, from_parts
+from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, inverse
 from planner.languages.urscript.reader.parser import Reader
 from planner.languages.urscript.reader.syntax_tree import Joint, Look, Program, SetTcp, Six, Straight
+from planner.problem import Arm
+from planner.programs.program_text import ProgramText, Size
 from planner.programs.steps import BASE_FRAME, DIGEST, Fault
+from planner.proof.kinematics.arm_model import machine_of
 
 
 @dataclass(frozen=True, slots=True)
-class ScriptText:
+class ScriptText(ProgramText):
     """The program of one arm, None where there is none, and all `faults`."""
+
+    language: ClassVar[str] = "urscript"
 
     program: Program | None
     faults: tuple[Fault, ...]
@@ -36,6 +42,16 @@ class ScriptText:
         """The problem that the program names."""
         item = None if self.program is None else self.program.data.get(DIGEST)
         return str(item.value) if item is not None and item.kind == "text" else ""
+
+    def base_of(self, arm: Arm) -> FloatArray | None:
+        """Return the base of the arm, which is not that of its controller."""
+        return None if self.base is None else np.asarray(self.base @ inverse(machine_of(arm.data).table.base))
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Number of moves of the program."""
+        one = self.program
+        return () if one is None else (Size(one.file, one.file, one.moves),)
 
 
 def pose(values: Six) -> FloatArray:

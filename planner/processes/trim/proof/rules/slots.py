@@ -478,7 +478,7 @@ def _guarded(context: Context, work: TrimWork, others: Collection[str]) -> Itera
     it does. ``others`` as :func:`_waits` has it."""
     claim = work.claim
     for task in context.job.tasks:
-        if task.script is None or task.arm.name != claim.arm:
+        if task.text.language != "urscript" or task.arm.name != claim.arm:
             continue
         lit: Step | None = None
         guard: GuardStep | None = None
