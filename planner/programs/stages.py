@@ -75,8 +75,6 @@ def _plain(step: Step) -> bool:
     return talks or isinstance(step, MoveStep | CallStep | SettingStep)
 
 
-MODULES = (".mod", ".modx", ".sys", ".sysx")
-"""Endings of the names of RAPID modules."""
 CONTROLLER = "controller"
 """Folder of the files for controllers, which are no programs."""
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
@@ -88,25 +86,25 @@ class TaskText:
 
     Attributes:
         name: Name of the task.
-        unit: Mechanical unit of the arm.
         arm: The arm that the task moves.
         text: Text of the program.
         steps: What the program does without errors, in order.
+        files: Texts of the files by path.
+        unit: Name of the arm in work objects of other arms that it carries.
         handlers: Error handlers by module and procedure. RAPID alone has them.
         undos: UNDO sections by module and procedure. RAPID alone has them.
         called: Procedures, as (module, name), that ever run.
-        files: Texts of the files by path.
     """
 
     name: str
-    unit: str
     arm: Arm
     text: ProgramText
     steps: tuple[Step, ...]
-    handlers: Handlers
-    undos: Handlers
-    called: frozenset[tuple[str, str]]
     files: Mapping[str, str]
+    unit: str = ""
+    handlers: Handlers = dataclasses.field(default_factory=dict)
+    undos: Handlers = dataclasses.field(default_factory=dict)
+    called: frozenset[tuple[str, str]] = frozenset()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,7 +18,8 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
 from planner.programs import partial
-from planner.programs.partial import KNOWN_MOVES, Gap, Read
+from planner.programs.language import Gap
+from planner.programs.partial import Read
 from planner.programs.program_text import NO_TEXT
 from planner.programs.stages import JobText, Stage, TaskText
 from planner.programs.steps import JointTarget, MoveStep, RobTarget, StatusTarget
@@ -135,11 +136,12 @@ def _runs(problem: Problem, one: Read, count: _Count) -> list[tuple[list[MoveSte
             open_, shifted = False, shifted or part.shifts
             continue
         key = _key(one, part)
-        part = _by_joints(one, part)
         why = (
             "something that is not read may shift all targets from there on"
             if shifted
-            else _strange(part, bool(one.arm.axes), problem.cell.turntable is not None)
+            else _strange(
+                part, one.reader.known_moves, bool(one.arm.axes), problem.cell.turntable is not None
+            )
         )
         if why:
             close()
@@ -162,23 +164,9 @@ def _key(one: Read, move: MoveStep) -> tuple[str, int]:
     return one.places.get(move.module, move.module), move.line
 
 
-def _by_joints(one: Read, move: MoveStep) -> MoveStep:
-    """A MoveJ as the move by joints that it is, where its confdata say to which."""
-    if move.kind != "MoveJ" or not isinstance(move.target, RobTarget) or not move.wobj.fixed:
-        return move
-    machine = arm_model.machine_of(one.arm.data)
-    q = inverse_kinematics.select_by_confdata(
-        machine, flange_at(move, one.arm.base)[None], np.array([move.target.conf])
-    )[0]
-    if not np.isfinite(q).all():
-        return move
-    target = JointTarget(machine.data.to_controller(q), move.target.external)
-    return dataclasses.replace(move, kind="MoveAbsJ", target=target)
-
-
-def _strange(move: MoveStep, tracked: bool, turned: bool) -> str:
+def _strange(move: MoveStep, known: frozenset[str] | None, tracked: bool, turned: bool) -> str:
     """Why the way of a move is not known, "" where it is."""
-    if move.kind not in KNOWN_MOVES:
+    if known is not None and move.kind not in known:
         return f"the way of {move.kind} between its targets is not known"
     if move.wobj.held or not move.wobj.fixed or not move.tool.held:
         return "its tool or its work object is not the arm's own, or moves"
@@ -229,8 +217,8 @@ def _prove(
     arms = [arm for arm in problem.cell.arms if arm.name != one.arm.name]
     own = dataclasses.replace(one.arm, home=start)
     tasks = [
-        TaskText(one.name, one.unit, own, NO_TEXT, tuple(run), {}, {}, frozenset(), one.files),
-        *(TaskText(arm.name, "", arm, NO_TEXT, (), {}, {}, frozenset(), {}) for arm in arms),
+        TaskText(one.name, own, NO_TEXT, tuple(run), one.files),
+        *(TaskText(arm.name, arm, NO_TEXT, (), {}) for arm in arms),
     ]
     stage = Stage(False, None, {task.name: task.steps for task in tasks})
     context = Context(problem, {}, programs)

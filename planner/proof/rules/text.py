@@ -21,13 +21,15 @@ from xml.etree import ElementTree as ET
 from planner.issues import Issue, Severity
 from planner.languages.rapid.reader.program_text import modules_of
 from planner.languages.rapid.reader.syntax_tree import QUATERNION_TOLERANCE
-from planner.programs.job import TRAJECTORY, speaks_trajectories, task_names
+from planner.programs.job import task_names
 from planner.programs.stages import JobText, TaskText
 from planner.programs.steps import Fault, MoveStep
 from planner.programs.text import changed, strange
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, rule, target
 
+_TRAJECTORY = ".jsonl"
+"""Ending of files of trajectories."""
 _RAPID_TARGET = re.compile(
     r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]"
 )
@@ -302,14 +304,14 @@ def files(context: Context) -> Outcome:
         for f in context.job.faults
         if f.kind in _FILES
     ]
-    faulty = any(f.file.endswith(TRAJECTORY) for f in context.job.faults)  # there, but not read
+    faulty = any(f.file.endswith(_TRAJECTORY) for f in context.job.faults)  # there, but not read
     job = context.job
     names = task_names(context.problem)
     read = {task.name for task in job.tasks}
     used = {arm for operation in context.problem.operations for arm in operation.arms}
     for number, arm in enumerate(context.problem.cell.arms):
         name = names[number] if number < len(names) else f"task {number + 1}"
-        driven = speaks_trajectories(arm)
+        driven = arm.data.family == "ROS"
         if arm.name in used and name not in read and not (driven and faulty):
             message = f"arm {arm.name} has no module for task {name}"
             message = f"no file of trajectories moves arm {arm.name}" if driven else message
@@ -335,7 +337,7 @@ def files(context: Context) -> Outcome:
 
 
 def _named(fault: Fault) -> str:
-    several = fault.file.endswith(TRAJECTORY)
+    several = fault.file.endswith(_TRAJECTORY)
     return "take all but one away" if several else "rename the file as its program is"
 
 

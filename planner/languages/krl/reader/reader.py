@@ -57,6 +57,11 @@ class KrlText(ProgramText):
 
     def base_of(self, arm: Arm) -> FloatArray | None:
         """Return the base frame that the data list states."""
+        return self.base
+
+    @property
+    def base(self) -> FloatArray | None:
+        """The base frame (4, 4) that the data list states, None without one."""
         item = None if self.data is None else self.data.items.get(BASE_FRAME)
         return item.value if item is not None and item.kind == "frame" else None
 

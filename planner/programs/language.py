@@ -1,0 +1,129 @@
+"""What a language adds to the reading of programs.
+
+The language of an arm is the one that lists the family of the arm's controller
+(:class:`planner.runtime.plugins.Language`). Readers are imported on first use.
+"""
+
+from __future__ import annotations
+
+import enum
+import functools
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from planner.problem import Arm, Problem
+from planner.programs.program_text import ProgramText
+from planner.programs.stages import TaskText
+from planner.programs.steps import Fault, MoveStep
+from planner.runtime import plugins
+from planner.runtime.plugins import Language
+
+
+class Sharing(enum.Enum):
+    """What several arms of one language have in common."""
+
+    NOTHING = "nothing"
+    """Each arm has a controller. The task has the name of the arm, the files are in a folder of that name."""
+    CONTROLLER = "controller"
+    """One controller has a task for each arm. The cell states the names of the tasks. Paths of files contain
+    them. If the controllers of the cell meet by handshake, it is as with NOTHING."""
+    FILE = "file"
+    """One controller moves all arms by one file, wherever it is."""
+
+
+@dataclass(frozen=True)
+class ReadTasks:
+    """Tasks as read.
+
+    Attributes:
+        tasks: The tasks. One that cannot be read has no steps.
+        faults: Faults of the texts.
+        flow_faults: Why tasks whose texts have no faults have no steps.
+    """
+
+    tasks: tuple[TaskText, ...]
+    faults: tuple[Fault, ...] = ()
+    flow_faults: tuple[Fault, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """Something between two moves that is not read.
+
+    Attributes:
+        shifts: Whether it may shift the targets of all moves behind it.
+    """
+
+    shifts: bool = False
+
+
+Way = tuple[MoveStep | Gap, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PartlyRead:
+    """Programs of any origin, read as far as possible.
+
+    Attributes:
+        text: Text of the program.
+        way: Moves and gaps in order.
+        unread: Lines that are not read.
+    """
+
+    text: ProgramText
+    way: Way
+    unread: tuple[Fault, ...]
+
+
+Arms = Mapping[str, Arm]
+"""Arms by the names of their tasks."""
+Files = Mapping[str, str]
+"""Texts by path."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """The reader of a language.
+
+    Attributes:
+        read: Reads the files of one arm, or those of all arms that share a file. It raises nothing.
+        sharing: What several arms have in common.
+        lists: Endings of files that list the files to load, in lower case, with the dot.
+        read_partly: Reads the files of one arm as far as possible. Without it programs are read as a whole or
+            not at all.
+        move_pattern: Regular expression with one group that finds the moves of a line without strings and
+            comments, known ones and others. Without it those count that are read.
+        comment: Sign that begins a comment.
+        known_moves: Kinds of moves (:attr:`planner.programs.steps.MoveStep.kind`) whose path between their
+            targets is known, None if all are.
+    """
+
+    read: Callable[[Problem, Arms, Files], ReadTasks]
+    sharing: Sharing = Sharing.NOTHING
+    lists: tuple[str, ...] = ()
+    read_partly: Callable[[Problem, Arm, Files], PartlyRead] | None = None
+    move_pattern: re.Pattern[str] | None = None
+    comment: str = "#"
+    known_moves: frozenset[str] | None = None
+
+
+def language_of(arm: Arm) -> Language | None:
+    """Return the language that the controller of an arm reads, None if there is none."""
+    languages = plugins.usable(Language).values()
+    return next((one for one in languages if arm.data.family in one.families), None)
+
+
+def reader_of(arm: Arm) -> Reader | None:
+    """Return the reader of the language of an arm, None if there is none.
+
+    Raises:
+        plugins.PluginError: The reader cannot be loaded.
+    """
+    language = language_of(arm)
+    return None if language is None else _load(language)
+
+
+@functools.cache
+def _load(language: Language) -> Reader:
+    return plugins.load(language.reader, Reader)
