@@ -58,6 +58,11 @@ class Claim:
         return None
 
     @property
+    def spindle_rule(self) -> tuple[str, str] | None:
+        """An arm, and the kind of its segments in which a rule about this claim judges the spindle."""
+        return None
+
+    @property
     def heated_length(self) -> float:
         """Length [m] of the wire that the claim is about, or 0."""
         return 0.0

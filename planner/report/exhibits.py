@@ -256,8 +256,7 @@ def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     return markup.Wide(markup.Grid((left, right)))
 
 
-def _curve(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
-    del block
+def _curve(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     x = exhibit.get("x")
     lines = [
         charts.Line(
@@ -281,27 +280,23 @@ def _curve(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     return _figure(exhibit, body)
 
 
-def _table(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
-    del block
+def _table(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     columns = tuple(exhibit["columns"])
     drawn = _figure(exhibit, markup.table(columns, exhibit["rows"]))
     return markup.Wide(drawn) if len(columns) > _HALF_WIDTH_COLUMNS else drawn
 
 
-def _facts(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
-    del block
+def _facts(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     return _figure(exhibit, markup.Facts(tuple(_items(exhibit["items"]))))
 
 
-def _heatmap(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
-    del block
+def _heatmap(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     points, value = np.asarray(exhibit["points"]), np.asarray(exhibit["value"], dtype=np.float64)
     body = charts.value_map(points, value, exhibit.get("limit"), str(exhibit.get("unit", "")))
     return _figure(exhibit, body)
 
 
-def _released(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
-    del block
+def _released(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     x, y = np.meshgrid(exhibit["x"], exhibit["y"])
     points = np.stack([x, y, np.asarray(exhibit["released"])], axis=-1).reshape(-1, 3)
     value = np.asarray(exhibit["deviation"], dtype=np.float64).ravel()
@@ -309,8 +304,7 @@ def _released(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     return _figure(exhibit, body)
 
 
-def _mesh(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
-    del block
+def _mesh(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     vertices = np.asarray(exhibit["vertices"], dtype=np.float64)
     solid = raster.mesh(vertices, np.asarray(exhibit["faces"], dtype=np.int64), smooth=True)
     camera = raster.frame(vertices, np.array([-0.55, 1.0, -0.55]), 1000, 640)
@@ -319,8 +313,7 @@ def _mesh(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     return _figure(exhibit, markup.Photo(address, str(exhibit["title"])))
 
 
-def _tree(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
-    del block
+def _tree(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     parents = [int(p) for p in exhibit["parent"]]
     names = list(exhibit["nodes"])
     if len(names) != len(parents):
@@ -335,8 +328,7 @@ def _tree(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     return _figure(exhibit, below(-1, 0))
 
 
-def _text(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
-    del block
+def _text(exhibit: Mapping[str, Any], _: FloatArray) -> Block:
     return _figure(exhibit, markup.Paragraph(exhibit["text"]))
 
 

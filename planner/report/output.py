@@ -146,10 +146,7 @@ def _motion(problem: Problem, motion: Motion, proof: Proof | None) -> list[Secti
     for name, arm in motion.arms.items():
         rows.append(markup.Heading(f"{name}: {arm.robot.title}"))
         rows.append(markup.Grid(tuple(motion_charts.joints(name, arm, motion)), "three"))
-    return [
-        Section("motion", "Motion", content),
-        Section("joints", "Joint angles and limits", tuple(rows)),
-    ]
+    return [Section("motion", "Motion", content), Section("joints", "Joint angles and limits", tuple(rows))]
 
 
 def _background(plan: Plan | None, extra: Extra) -> list[Section]:
@@ -174,10 +171,7 @@ def pictures(problem: Problem, plan: Plan) -> Iterator[tuple[str, Picture]]:
 
 
 def files(
-    problem: Problem,
-    plan: Plan,
-    proof: Proof | None,
-    drawn: Sequence[tuple[str, Picture]] | None = None,
+    problem: Problem, plan: Plan, proof: Proof | None, drawn: Sequence[tuple[str, Picture]] | None = None
 ) -> dict[str, str]:
     """What :func:`pages` and :func:`proof_files` make, by name."""
     return pages(problem, plan, proof, drawn) | proof_files(plan, proof)

@@ -80,11 +80,7 @@ def cutter(setup: Setup, arms: tuple[str, ...]) -> Arm | None:
 
 
 def wire_in_block(
-    setup: Setup,
-    arm: Arm,
-    place: FloatArray,
-    bases: Mapping[str, FloatArray],
-    q: Mapping[str, FloatArray],
+    setup: Setup, arm: Arm, place: FloatArray, bases: Mapping[str, FloatArray], q: Mapping[str, FloatArray]
 ) -> FloatArray:
     """Both ends (T, 2, 3) [m] of a straight wire, or of a cutter's axis, in the stock frame at joint angles
     {arm: (T, 6)}."""
@@ -503,12 +499,7 @@ def _ways(
 
 
 def _operation_rows(
-    rows: _Rows,
-    setup: Setup,
-    plan: Plan,
-    index: int,
-    operation: OperationPlan,
-    here: dict[str, FloatArray],
+    rows: _Rows, setup: Setup, plan: Plan, index: int, operation: OperationPlan, here: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
     targets = operation.targets
     time = operation.time - operation.time[0] + rows.end()

@@ -12,6 +12,7 @@ import numpy as np
 
 from planner.cell import support
 from planner.claims.claim import HoldsStock
+from planner.claims.handshake import SignalWire
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
 from planner.plans import OperationPlan, Plan
@@ -94,22 +95,13 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
             items.append(("face of the gripper, centred on its TCP [mm]", f"{width} × {depth}"))
             items += _clamped_by(setup.stock)
         if held is not None:
-            items.append(
-                (
-                    "load told to the controller",
-                    f"{markup.fixed(held.mass, 3)} kg at {point(held.cog)} mm",
-                )
-            )
+            load = f"{markup.fixed(held.mass, 3)} kg at {point(held.cog)} mm"
+            items.append(("load told to the controller", load))
     name = "place: x, y, z in the world [mm]"
     if stock.held_by is not None:
         name = "place about which it is moved: x, y, z in the world [mm]"
     if stock.held_by is None and stock.sheet is None:
-        items.append(
-            (
-                "stands on",
-                _stands_on(setup, np.asarray(plan.places[setup.number - 1])),
-            )
-        )
+        items.append(("stands on", _stands_on(setup, np.asarray(plan.places[setup.number - 1]))))
         items += _from_bases(setup, plan)
     chosen = "the problem" if stock.place is not None else "the placement search"
     table = setup.cell.turntable
@@ -156,10 +148,8 @@ def _from_bases(setup: Setup, plan: Plan) -> list[Row]:
         along = seen[:2, 0] if np.linalg.norm(seen[:2, 0]) > 0.5 else seen[:2, 1]
         turn = float(np.arctan2(along[1], along[0])) / DEG
         off = abs((turn + 45.0) % 90.0 - 45.0)
-        edges = (
-            "edges parallel to the base" if off < 0.005 else f"edges turned by {markup.fixed(turn, 2)} deg"
-        )
-        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", f"{point(corner)}; {edges}"))
+        edges = "parallel to the base" if off < 0.005 else f"turned by {markup.fixed(turn, 2)} deg"
+        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", f"{point(corner)}; edges {edges}"))
     return out
 
 
@@ -264,23 +254,18 @@ def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[Chec
     """Each wire between two controllers, and how it is tried."""
     names = [arm.name for arm in arms]
     handshake = problem.cell.controller.handshake
-    out = [
-        (
-            f"wire: {wire.output} of {wire.source} to {wire.input} of {wire.sink}",
-            "0 and 1 are read at its end",
-        )
-        for wire in handshake.wired(names)
-    ]
+    out = [(f"wire: {_wire(wire)}", "0 and 1 are read at its end") for wire in handshake.wired(names)]
     for wire in handshake.wired_running(names):
         falls = " and its power falls" if powered(problem, plan, [problem.cell.arm(wire.sink)]) else ""
-        out.append(
-            (
-                f"running wire: {wire.output} of {wire.source} to {wire.input} of {wire.sink}",
-                f"pulled while both programs run: arm {wire.sink} stops at once{falls}, "
-                f"then arm {wire.source} stops, too",
-            )
+        what = (
+            f"pulled while both programs run: arm {wire.sink} stops at once{falls}, then arm {wire.source} "
         )
+        out.append((f"running wire: {_wire(wire)}", f"{what}stops, too"))
     return out
+
+
+def _wire(wire: SignalWire) -> str:
+    return f"{wire.output} of {wire.source} to {wire.input} of {wire.sink}"
 
 
 _STOP_WORDS = {
@@ -362,8 +347,7 @@ def _wires(problem: Problem) -> list[Row]:
         return []
     arms = [arm.name for arm in problem.cell.arms]
     wires = (*controller.handshake.wired(arms), *controller.handshake.wired_running(arms))
-    shown = ", ".join(f"{w.output} of {w.source} to {w.input} of {w.sink}" for w in wires)
-    return [("wires between the controllers", shown)]
+    return [("wires between the controllers", ", ".join(map(_wire, wires)))]
 
 
 def _stops(operation: OperationPlan, start: float) -> Block:

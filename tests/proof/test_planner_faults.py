@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from planner.processes.forming.plan.operation import Forming
-from planner.processes.registry import PROCESSES
+from planner.runtime.plugins import BUILT_IN, Process
 from tests.proof import (
     faults_of_motion,
     faults_of_parts,
@@ -72,7 +72,7 @@ def test_the_sample_has_every_process_mode_and_language(tmp_path: Path) -> None:
         modes.add(operation.get("mode"))
         languages.add(controller.get("dialect", controller.get("sync", "rapid")))
         languages |= {"urscript"} if isinstance(data["cell"]["arms"][0]["robot"], dict) else set()
-    assert processes == set(PROCESSES)
+    assert processes == set(BUILT_IN[Process.GROUP])
     assert modes - {None} == set(typing.get_args(Forming.model_fields["mode"].annotation))
     assert languages >= {"krc4", "handshake", "rapid", "urscript"}
 

@@ -9,13 +9,7 @@ from planner.geometry.units import MM
 from planner.problem import Arm, Problem, Turntable
 from planner.report import axes_sheet, markup
 from planner.report.axes_sheet import AxisTerms
-from planner.report.contribution import (
-    Check,
-    ControllerSetup,
-    ReportOfLanguage,
-    Row,
-    numbered_signals,
-)
+from planner.report.contribution import Check, ControllerSetup, ReportOfLanguage, Row, numbered_signals
 from planner.report.pose_text import point
 
 _TERMS: Final = AxisTerms(
@@ -141,7 +135,5 @@ def _programs(problem: Problem, arms: Sequence[Arm]) -> list[Row]:
 
 
 REPORT: Final = ReportOfLanguage(
-    checks=_checks,
-    programs=_programs,
-    load_compensation="model of a positionally accurate robot",
+    checks=_checks, programs=_programs, load_compensation="model of a positionally accurate robot"
 )

@@ -6,13 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from planner.problem import Arm, Controller, Problem, torch_signals
-from planner.report.contribution import (
-    Check,
-    ControllerSetup,
-    ReportOfLanguage,
-    Row,
-    numbered_signals,
-)
+from planner.report.contribution import Check, ControllerSetup, ReportOfLanguage, Row, numbered_signals
 
 _STANDARD_OUTPUTS: Final = 8
 """Number of standard digital outputs, and of inputs, of a UR controller. Configurable ones follow them."""
@@ -115,7 +109,5 @@ def _programs(problem: Problem, arms: Sequence[Arm]) -> list[Row]:
 
 
 REPORT: Final = ReportOfLanguage(
-    checks=_checks,
-    programs=_programs,
-    load_compensation="kinematic calibration",
+    checks=_checks, programs=_programs, load_compensation="kinematic calibration"
 )

@@ -38,6 +38,5 @@ def _motion(_: Plan, series: Mapping[str, Any]) -> ProcessMotion:
 
 
 REPORT: Final = ReportOfProcess(
-    motion=_motion,
-    faces={"form": FaceWords("ball", "pressed too far", "not pressed so far")},
+    motion=_motion, faces={"form": FaceWords("ball", "pressed too far", "not pressed so far")}
 )

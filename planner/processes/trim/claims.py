@@ -138,6 +138,11 @@ class TrimsSheet(Claim):
         """What goes through the sheet, if that is not a torch."""
         return self.knife if self.mill is None else self.mill
 
+    @property
+    def spindle_rule(self) -> tuple[str, str]:
+        """``verify.trim_spindle`` judges the spindle of a mill that trims."""
+        return self.arm, "trim"
+
 
 MOST_STRETCHES: Final = 200
 """A knife is lifted so often on one curve at most."""

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
+from planner.proof.context import Context
+from planner.proof.replay.motion import during
 
 Spaced = tuple[FloatArray, FloatArray, IntArray]
 """Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""
 TRACK_LEVER = 0.15
 """A point so far behind the tip [m] counts, with the tip, for the way between places."""
+MAX_PLACES_AT_ONCE = 16_384
+"""Number of places that are processed at once. It limits memory and does not change results."""
 _MOST_BENDS = 64
 """Rounds at most in which places are added at bends, one between two places each."""
 
@@ -110,3 +115,30 @@ def _between(ends: FloatArray, along: FloatArray, low: IntArray, at: FloatArray)
     share = (at - along[low]) / np.maximum(along[low + 1] - along[low], 1e-12)
     share = np.clip(share, 0.0, 1.0)[:, None, None]
     return np.asarray(ends[low] + share * (ends[low + 1] - ends[low]))
+
+
+def track_of(context: Context, index: int, arm: str, labels: tuple[str, ...]) -> Track:
+    """Find the track of ``arm`` in setup ``index`` on moves of segments with these keys."""
+    motion = context.motion
+    names, looks = motion.node_label, motion.looks
+    chosen = np.isin(names, labels)[looks.node] & (context.sample_setup[looks.sample] == index)
+    rows = np.flatnonzero(during(chosen)) if arm in motion.tcp else np.zeros(0, dtype=np.int64)
+    tip, axis, ahead = np.empty((3, len(rows), 3))
+    for part, seen in tcp_in_stock(context, index, arm, rows):
+        tip[part], axis[part], ahead[part] = seen[:, :3, 3], -seen[:, :3, 2], seen[:, :3, 0]
+    joined = (np.diff(rows) == 1) & chosen[rows[1:]]
+    node, time = looks.node[rows], looks.time[rows]
+    return Track(looks.sample[rows], tip, axis, joined, node, names, time, ahead)
+
+
+def tcp_in_stock(
+    context: Context, index: int, arm: str, rows: IntArray
+) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield poses (M, 4, 4) of the TCP in the block's frame at ``rows`` of the looks, part by part.
+
+    All poses of a long job would need more memory than the rest of the proof.
+    """
+    for first in range(0, len(rows), MAX_PLACES_AT_ONCE):
+        part = slice(first, first + MAX_PLACES_AT_ONCE)
+        own = context.motion.looks.row[rows[part]]
+        yield part, inverse(context.stock_poses(index, own)) @ context.motion.poses(arm, own)

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from planner.claims.segments import Segment
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.problem import Stock
 from planner.processes.milling.claims import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
@@ -26,15 +26,12 @@ from planner.processes.milling.proof.wanted_ways import down, up
 from planner.proof.context import Context
 from planner.proof.facts import Fact
 from planner.proof.replay.motion import during
-from planner.proof.replay.tool_track import Spaced, Track
+from planner.proof.replay.tool_track import Spaced, Track, tcp_in_stock, track_of
 from planner.runtime.executor import SERIAL, Executor
 from planner.tooling import Cutter, Mill
 
 BEND_SHARE = 0.1
 """Part of a tolerance that straight lines between places may leave the way by, where it bends."""
-
-_MAX_PLACES_AT_ONCE = 16_384
-"""Number of places that are processed at once. It limits memory and does not change results."""
 
 
 def in_block(tip: FloatArray, axis: FloatArray, length: float, radius: float, stock: Stock) -> BoolArray:
@@ -133,7 +130,7 @@ class Milling:
         """The track of ``arm`` in setup ``index`` on moves of segments with these keys."""
         key = (index, arm, labels)
         if key not in self._tracks:
-            self._tracks[key] = self._track(*key)
+            self._tracks[key] = track_of(self.context, *key)
         return self._tracks[key]
 
     def followed(self, index: int, claim: MillsAlong) -> tuple[IntArray, Followed] | None:
@@ -160,31 +157,11 @@ class Milling:
         looks, stock = self.context.motion.looks, self.context.stock(index)
         rows = np.flatnonzero(during(self.context.sample_setup[looks.sample] == index))
         found = np.zeros(len(rows), dtype=bool)
-        for part, seen in self._seen(index, arm, rows):
+        for part, seen in tcp_in_stock(self.context, index, arm, rows):
             tip, axis = seen[:, :3, 3], -seen[:, :3, 2]
             found[part] = in_block(tip, axis, cutter.overhang, cutter.radius, stock)
         rows = rows[found]
         return looks.sample[rows], looks.node[rows], looks.time[rows]
-
-    def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
-        context, motion = self.context, self.context.motion
-        names, looks = motion.node_label, motion.looks
-        chosen = np.isin(names, labels)[looks.node] & (context.sample_setup[looks.sample] == index)
-        rows = np.flatnonzero(during(chosen)) if arm in motion.tcp else np.zeros(0, dtype=np.int64)
-        tip, axis, ahead = np.empty((3, len(rows), 3))
-        for part, seen in self._seen(index, arm, rows):
-            tip[part], axis[part], ahead[part] = seen[:, :3, 3], -seen[:, :3, 2], seen[:, :3, 0]
-        joined = (np.diff(rows) == 1) & chosen[rows[1:]]
-        node, time = looks.node[rows], looks.time[rows]
-        return Track(looks.sample[rows], tip, axis, joined, node, names, time, ahead)
-
-    def _seen(self, index: int, arm: str, rows: IntArray) -> Iterator[tuple[slice, FloatArray]]:
-        """Poses (M, 4, 4) of the TCP in the block's frame at ``rows`` of the looks, part by part: of all at
-        once of a long job they would take more memory than all the rest of the proof."""
-        for first in range(0, len(rows), _MAX_PLACES_AT_ONCE):
-            part = slice(first, first + _MAX_PLACES_AT_ONCE)
-            own = self.context.motion.looks.row[rows[part]]
-            yield part, inverse(self.context.stock_poses(index, own)) @ self.context.motion.poses(arm, own)
 
 
 def _milling(context: Context) -> Milling:

@@ -16,13 +16,12 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.swept_body import RoundBody, least_distances, places_near
 from planner.issues import Issue
 from planner.processes.forming.proof.state import FORMING
-from planner.processes.milling.proof.tool_motion import Milling
 from planner.processes.trim.claims import TrimsSheet, slot_names
 from planner.processes.trim.proof.outlines import TRIM, Curve, Feet, SheetSide
 from planner.proof.context import Context
 from planner.proof.facts import Fact
 from planner.proof.part_files import UnreadError
-from planner.proof.replay.tool_track import Track
+from planner.proof.replay.tool_track import Track, track_of
 from planner.tooling import Torch
 
 SIGHT = 20e-3
@@ -113,9 +112,9 @@ class TrimWork:
         self.sheet = SheetSide(claim, part, flat)
         self._other = partial(SheetSide, dataclasses.replace(claim, side=-claim.side), part, flat)
         self.curves = tuple(Curve(one, self.sheet) for one in claim.outlines)
-        self._milling = Milling(context)
+        self._tracks: dict[tuple[str, ...], Track] = {}
         labels = tuple(sorted(set(context.motion.node_label.tolist())))
-        self.track: Track = self._milling.track(index, claim.arm, labels)
+        self.track = self._track(labels)
         self._ways: dict[str, Way | None] = {}
         self.kept: dict[str, Any] = {}  # what is worked out of it elsewhere
         self.burning = Burning.of(context, claim)
@@ -153,9 +152,14 @@ class TrimWork:
         there = set(self.context.motion.node_label.tolist())
         return {key: curve for key, curve in names.items() if key in there}
 
+    def _track(self, labels: tuple[str, ...]) -> Track:
+        if labels not in self._tracks:
+            self._tracks[labels] = track_of(self.context, self.index, self.claim.arm, labels)
+        return self._tracks[labels]
+
     def of_slot(self, key: str) -> Track:
         """The track in one slot."""
-        return self._milling.track(self.index, self.claim.arm, (key,))
+        return self._track((key,))
 
     def way(self, key: str) -> Way | None:
         """The way of the torch in one slot, None where it has none."""

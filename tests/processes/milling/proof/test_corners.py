@@ -12,9 +12,9 @@ import pytest
 import planner
 from planner.geometry.arrays import FloatArray
 from planner.processes import registry
-from planner.processes.milling.proof import following, tool_motion
+from planner.processes.milling.proof import following
 from planner.proof.prove import Prover
-from planner.proof.replay import moves, playback
+from planner.proof.replay import moves, playback, tool_track
 from planner.proof.replay.tool_track import Track, _with_bends
 from tests.test_sharp_turns import ABB, CELLS, KUKA, MILLED
 
@@ -116,7 +116,7 @@ def test_what_is_found_hangs_not_on_how_many_places_are_worked_on_at_once(
     fine: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = fine.prover.prove(fine.programs, last="verify.spindle").rules
-    monkeypatch.setattr(tool_motion, "_MAX_PLACES_AT_ONCE", 7)
+    monkeypatch.setattr(tool_track, "MAX_PLACES_AT_ONCE", 7)
     monkeypatch.setattr(following, "_PLACES_AT_ONCE", 7)
     assert fine.prover.prove(fine.programs, last="verify.spindle").rules == whole
 

@@ -47,7 +47,6 @@ from planner.processes.milling.proof.tool_motion import (
     solids,
     sweep,
 )
-from planner.processes.trim.claims import TrimsSheet
 from planner.proof.context import Context
 from planner.proof.faces import divided
 from planner.proof.replay.tool_track import Track
@@ -495,8 +494,11 @@ def spindle(context: Context) -> Outcome:
             if not isinstance(arm.tool, Mill) or arm.name not in motion.tcp:
                 continue
             rows, node, time = milling.inside(index, arm.name, arm.tool.cutter)
-            if any(isinstance(c, TrimsSheet) and c.arm == arm.name for c in context.claims):
-                other = motion.node_kind[motion.node[rows]] != "trim"  # which is of its own rule
+            judged = [
+                c.spindle_rule[1] for c in context.claims if c.spindle_rule and c.spindle_rule[0] == arm.name
+            ]
+            if judged:
+                other = ~np.isin(motion.node_kind[motion.node[rows]], judged)
                 rows, node, time = rows[other], node[other], time[other]
             if not len(rows):
                 continue

@@ -16,8 +16,8 @@ from planner.issues import Severity
 from planner.problem import Part, Stock
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, KerfWithin, StraightWire
 from planner.processes.hotwire.plan.straight import job
+from planner.processes.hotwire.plan.straight.job import StraightJob
 from planner.processes.hotwire.plan.straight.order import distance_to_polyline
-from planner.processes.registry import PROCESSES
 from planner.targets import FEED_SHARE, ScrewFreedom, Targets
 from tests.processes.hotwire.plan import foam_blocks as blocks
 
@@ -312,7 +312,7 @@ def test_claims_come_from_the_problem_alone() -> None:
     op = blocks.operation(power_w=40.0, arms=["left", "right"], feed_mm_s=5, feed_min_mm_s=3)
     block = blocks.stock((0.2, 0.2, 0.1), held_by="right", foam=foams()["xps_30"])
     setup, part = blocks.setup(block), blocks.part(square("sq", 0.0, 0.05, 0.05))
-    claims = PROCESSES["straight_wire"].job(op, setup, part).claims()
+    claims = StraightJob(op, setup, part).claims()
     kinds = [
         StraightWire,
         ContactOnlyIn,
