@@ -109,10 +109,12 @@ def _completed(problem: Problem, claims: Claims) -> tuple[Claims, tuple[Issue, .
     return claims, tuple(issues)
 
 
-def _examine_ahead(context: Context, rules: tuple[Rule, ...]) -> Iterator[Outcome]:
-    """Examine rules one after the other, in another process."""
-    for rule in rules:
-        yield rule(context)
+def _examine_ahead(context: Context, group: str) -> Iterator[Outcome]:
+    """Examine the rules of a group one after the other, in another process."""
+    for rules in rule_table.by_stage(rule_table.rules_of(context.problem)).values():
+        for rule in rules:
+            if rule.ahead == group:
+                yield rule(context)
 
 
 class _Run:
@@ -168,8 +170,8 @@ class _Run:
     def _submit(self, stage: Stage, groups: tuple[Ahead, ...]) -> None:
         for group in groups:
             if group.stage == stage and group.useful(self.context):
-                rules = tuple(r for some in self.rules.values() for r in some if r.ahead == group.name)
-                self._ahead[group.name] = self.context.executor.submit(_examine_ahead, self.context, rules)
+                submitted = self.context.executor.submit(_examine_ahead, self.context, group.name)
+                self._ahead[group.name] = submitted
 
     def _broken(self, *codes: str) -> bool:
         return any(code in self.results and not self.results[code].passed for code in codes)
