@@ -27,12 +27,55 @@ class ToolDistance:
 
 
 @dataclasses.dataclass(frozen=True)
+class Allowance:
+    """Deviation of curves from the replay, which a claim has to leave room for.
+
+    Attributes:
+        way: Deviation of the TCP on each segment (N,) [m].
+        turn: Deviation of its orientation on each segment (N,) [rad].
+        joints: Largest deviation of a joint [rad].
+        body: Largest deviation of any body of the arm [m].
+        faster: Factor by which the tool may be faster than on the straight moves.
+    """
+
+    way: FloatArray
+    turn: FloatArray
+    joints: float
+    body: float
+    faster: float
+
+    @property
+    def largest_turn(self) -> float:
+        """Largest deviation of the orientation [rad]."""
+        return float(self.turn.max())
+
+    def at(self, lever: float) -> float:
+        """Return the largest deviation [m] at a distance ``lever`` [m] from the TCP."""
+        return float((self.way + lever * self.turn).max())
+
+
+@dataclasses.dataclass(frozen=True)
+class Power:
+    """An output that programs switch because of a claim.
+
+    Attributes:
+        signal: Name of the output.
+        burns: Whether it lights a torch, which nobody lights again where it burned at a stop.
+        pulsed: Whether it is on for a pulse only, so that a stop does not have to switch it off.
+    """
+
+    signal: str
+    burns: bool = False
+    pulsed: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
 class Claim:
     """Base class of all claims. A kind of claim is a frozen dataclass that inherits from it.
 
     Attributes:
         on_curves: Whether the rules of this kind hold on curves of spline blocks as well. If not, writers use
-            straight moves only. The proof has a list of its own.
+            straight moves only, and the proof refuses spline blocks.
 
     Raises:
         TypeError: Two kinds have the same name. Plan files state kinds by name.
@@ -72,6 +115,27 @@ class Claim:
         """Names of the arms that are joined to one another, for example by a wire."""
         return ()
 
+    def power(self) -> Power | None:
+        """Return the output that programs switch because of the claim."""
+        return None
+
+    def tightened(self, allowance: Allowance) -> Claim:
+        """Return the claim with so much less room that it holds on curves if it holds on straight moves."""
+        return self
+
+    def used_up(self, allowance: Allowance) -> tuple[float, float] | None:
+        """Return deviation and tolerance [m] if curves leave nothing of the tolerance."""
+        return None
+
+    def uneven_feed(self) -> Segment | None:
+        """Return the segment whose feed changes from place to place."""
+        return None
+
+
+def powers(claims: Sequence[Claim]) -> tuple[Power, ...]:
+    """Return the outputs that programs switch because of claims, in their order."""
+    return tuple(power for claim in claims if (power := claim.power()) is not None)
+
 
 _KINDS: Final[dict[str, type[Claim]]] = {}
 """Kinds of claims by name."""
@@ -106,6 +170,10 @@ class ContactOnlyIn(Claim):
     signal: str
     heat_up: float
 
+    def power(self) -> Power | None:
+        """Return the power of the edge."""
+        return Power(self.signal)
+
 
 @dataclasses.dataclass(frozen=True)
 class OneOf(Claim):
@@ -126,6 +194,10 @@ class FeedWindow(Claim):
     segment: Segment
     lower: float
     upper: float
+
+    def tightened(self, allowance: Allowance) -> FeedWindow:
+        """Return the window of the straight moves, on which the tool is slower than on curves."""
+        return dataclasses.replace(self, upper=self.upper / allowance.faster)
 
 
 ForceFrame = Literal["stock", "tool", "feed"]

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.claim import Claim, ToolDistance
+from planner.claims.claim import Claim, Power, ToolDistance
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray
 
@@ -157,6 +157,10 @@ class SinksHolder(Claim):
     end: float
     step: float
     pulse: float
+
+    def power(self) -> Power | None:
+        """Return the output whose pulses lower the clamp."""
+        return Power(self.signal, pulsed=True)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
-from planner.claims.claim import Claim
+import numpy as np
+
+from planner.claims.claim import Allowance, Claim
 from planner.claims.drawn_curve import DrawnCurve, Numbers
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray
@@ -17,15 +20,66 @@ MILL: Final = "mill"
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsSurface(Claim):
+class SafeWays:
+    """How a cutter comes to a pass and leaves it: along its own axis, straight, from and to the plane
+    ``level`` [m] across the axis ``across`` of the stock frame, on whose side ``up`` (+1 or -1) the tool
+    moves freely; no faster than ``plunge`` and ``rapid`` [m/s]."""
+
+    across: int
+    up: float
+    level: float
+    plunge: float
+    rapid: float
+
+    def tightened(self, allowance: Allowance) -> SafeWays:
+        """Return the ways with lower feeds."""
+        faster = allowance.faster
+        return dataclasses.replace(self, plunge=self.plunge / faster, rapid=self.rapid / faster)
+
+
+class _Toleranced:
+    """What curves of spline blocks leave of a claim with a tolerance, and perhaps a turn, feeds and ways."""
+
+    on_curves: ClassVar[bool] = True
+
+    def tightened(self, allowance: Allowance) -> Any:
+        """Return the claim with less tolerance and turn, and with lower feeds."""
+        less: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            match name:
+                case "tolerance":
+                    less[name] = value - allowance.at(self._lever())
+                case "turn":
+                    less[name] = value - allowance.largest_turn
+                case "feed":
+                    less[name] = value / allowance.faster
+                case "safe" | "back" if value is not None:
+                    less[name] = value.tightened(allowance)
+        return dataclasses.replace(self, **less)  # type: ignore[type-var]
+
+    def used_up(self, allowance: Allowance) -> tuple[float, float] | None:
+        """Return deviation and tolerance [m] if nothing is left of the tolerance or of the turn."""
+        shift, allowed = allowance.at(self._lever()), vars(self)["tolerance"]
+        gone = shift >= allowed or allowance.largest_turn >= vars(self).get("turn", math.inf)
+        return (shift, allowed) if gone else None
+
+    def _lever(self) -> float:
+        """Return how far [m] from the TCP the claim looks: to the end of the flute, if it has a cutter.
+
+        Holder and spindle behind it keep off the whole block by the clearance, which has its own allowance.
+        """
+        cutter = vars(self).get("cutter")
+        return 0.0 if cutter is None else float(cutter.flute)
+
+
+@dataclasses.dataclass(frozen=True)
+class MillsSurface(_Toleranced, Claim):
     """In ``segments`` together the ``cutter`` on ``arm``, whose TCP is its tip with z out of the spindle,
     makes the surface ``vertices``, ``faces`` (normals away from the part).
 
     The swept cutter leaves, or takes too much, ``tolerance`` [m] at most on the share ``share`` of the
     surface, and nowhere takes more. What is less than ``margin`` [m] inside its edge in plan is not wanted.
     """
-
-    on_curves: ClassVar[bool] = True
 
     segments: tuple[Segment, ...]
     arm: str
@@ -38,7 +92,7 @@ class MillsSurface(Claim):
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsAlong(Claim):
+class MillsAlong(_Toleranced, Claim):
     """In ``segment`` the TCP of ``arm``, the tip of its cutter, goes straight from each of ``tip`` (K, 3) [m]
     to the next within ``tolerance`` [m], with its z axis against ``axis`` (K, 3), from tip to spindle, within
     ``turn`` [rad]; it passes all of them. On its way to each it is no faster than ``feed`` (K,) [m/s]; the
@@ -47,8 +101,6 @@ class MillsAlong(Claim):
     Where the way is that of a file, ``file`` is its name and ``line`` (K,) says where each place stands.
     ``back``: the same the other way, where nobody says which of the two it is.
     """
-
-    on_curves: ClassVar[bool] = True
 
     segment: Segment
     arm: str
@@ -67,15 +119,17 @@ class MillsAlong(Claim):
         """The dwell of a G-code file."""
         return (self.segment, self.dwell) if self.dwell > 0.0 else None
 
+    def uneven_feed(self) -> Segment | None:
+        """Return the segment if its feed changes on the way."""
+        return self.segment if len(self.feed) >= 3 and np.ptp(self.feed[1:]) > 0.0 else None
+
 
 @dataclasses.dataclass(frozen=True)
-class SparesPart(Claim):
+class SparesPart(_Toleranced, Claim):
     """In ``segments``, with their ways in and out, no part of the tool of ``arm``, of ``cutter``, holder and
     spindle, goes into the surface ``vertices``, ``faces`` by more than ``tolerance`` [m]; the cutter itself,
     where it engraves, ``depth`` [m] deeper. A segment that is the name of a :class:`MillsProgram` stands for
     all passes of that."""
-
-    on_curves: ClassVar[bool] = True
 
     segments: tuple[Segment, ...]
     arm: str
@@ -85,18 +139,9 @@ class SparesPart(Claim):
     depth: float
     tolerance: float
 
-
-@dataclasses.dataclass(frozen=True)
-class SafeWays:
-    """How a cutter comes to a pass and leaves it: along its own axis, straight, from and to the plane
-    ``level`` [m] across the axis ``across`` of the stock frame, on whose side ``up`` (+1 or -1) the tool
-    moves freely; no faster than ``plunge`` and ``rapid`` [m/s]."""
-
-    across: int
-    up: float
-    level: float
-    plunge: float
-    rapid: float
+    def _lever(self) -> float:
+        """Return how far [m] from the TCP the claim looks: to the end of the overhang."""
+        return float(self.cutter.overhang)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,15 +177,13 @@ class ProgramFile:
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsProgram(Claim):
+class MillsProgram(_Toleranced, Claim):
     """In the milling segments ``name``_1, ``name``_2 ... the TCP of ``arm``, the tip of its cutter, makes the
     cuts of the G-code ``file`` between its rapid moves, one after the other: all of them, in order, within
     ``tolerance`` [m] and ``turn`` [rad], at the file's own feeds. ``first``: nothing is milled before it.
 
     Between the cuts it goes the ways that ``safe`` says. The proof reads the file itself.
     """
-
-    on_curves: ClassVar[bool] = True
 
     name: str
     arm: str
@@ -152,7 +195,7 @@ class MillsProgram(Claim):
 
 
 @dataclasses.dataclass(frozen=True)
-class Engraves(Claim):
+class Engraves(_Toleranced, Claim):
     """In the milling segments ``name``_c1, ``name``_c2 ... the ``cutter`` on ``arm`` engraves one curve each,
     all of it and in its direction, one of a file that is closed until it is where it began: projected along z
     onto the face ``vertices``, ``faces``, which looks up, and ``depth`` [m] below it along its normal, within
@@ -161,8 +204,6 @@ class Engraves(Claim):
     ``axis``: ``normal``, leant forward by ``lead`` and to the left by ``tilt`` [rad]; ``upright``; or
     ``curves``, through the curves ``axis_curves``, one for each.
     """
-
-    on_curves: ClassVar[bool] = True
 
     name: str
     arm: str
@@ -182,7 +223,7 @@ class Engraves(Claim):
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsFlank(Claim):
+class MillsFlank(_Toleranced, Claim):
     """In each of ``segments`` the side of the cutter on ``arm``, or its axis, passes all of a ruled surface
     in its own ``direction`` (``along``, ``against``, ``climb``, ``conventional``), once; nothing else of the
     block is milled.
@@ -197,8 +238,6 @@ class MillsFlank(Claim):
     the cutter is off the block (None), and from there as ``safe`` says. In the block the tip is no faster
     than ``feed`` [m/s]. ``tolerance`` [m] and ``turn`` [rad] hold for all of it.
     """
-
-    on_curves: ClassVar[bool] = True
 
     segments: tuple[Segment, ...]
     arm: str
@@ -220,7 +259,7 @@ class MillsFlank(Claim):
 
 
 @dataclasses.dataclass(frozen=True)
-class MillsOver(Claim):
+class MillsOver(_Toleranced, Claim):
     """In ``segments`` the end of the ``cutter`` on ``arm`` touches the face ``vertices``, ``faces``, which
     looks up, within ``tolerance`` [m] at every instant, ``margin`` [m] inside its edge; from there and past
     it the cutter goes no farther than its radius. Nothing else of the block is milled.
@@ -229,8 +268,6 @@ class MillsOver(Claim):
     where it turns over from line to line its edge may swing up by so much. It comes and goes as
     ``safe`` says.
     """
-
-    on_curves: ClassVar[bool] = True
 
     segments: tuple[Segment, ...]
     arm: str

@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 from typing import Final
 
-from planner.claims.claim import Claim
+from planner.claims.claim import Claim, Power
 from planner.claims.drawn_curve import DrawnCurve
 from planner.tooling import Blade, Cutter, Torch
 
@@ -132,6 +132,10 @@ class TrimsSheet(Claim):
     pierce_height: float
     pierce_seconds: float
     pierce_off: float
+
+    def power(self) -> Power | None:
+        """Return the output of the torch or of the drive, None for a knife that is dragged."""
+        return Power(self.signal, burns=self.torch is not None) if self.signal else None
 
     @property
     def through(self) -> TrimCutter | TrimBlade | None:

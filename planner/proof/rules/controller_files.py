@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePosixPath
 
+from planner.claims.claim import powers
 from planner.issues import Issue
 from planner.languages.krl.reader.lines import krl_lines
 from planner.languages.krl.rules import power_at_stops as krl_power_at_stops
@@ -27,7 +28,6 @@ from planner.languages.rapid.rules.cell_check import check_faults
 from planner.languages.rapid.rules.power_at_stops import POWER_MODULE, config_row
 from planner.languages.urscript.rules.robot_check import robot_check_faults
 from planner.problem import Controller
-from planner.processes.forming.claims import SinksHolder
 from planner.programs.job import controllers
 from planner.programs.stages import CONTROLLER, TaskText
 from planner.programs.steps import SignalStep
@@ -57,12 +57,13 @@ def controller_files(context: Context) -> Outcome:
             folder = "/".join(parts[1:-1])
             there.setdefault(folder, {})[parts[-1]] = text
     count = 0
+    burning = {power.signal.lower() for power in powers(context.claims) if power.burns}
     joined = controller.sync == "handshake" and len(context.job.tasks) > 1
     for folder, tasks, signals in _powered(context, joined):
         files = there.pop(folder, {})
         count += len(signals)
         partner = Partner(controller, tasks[0].arm.name) if joined else None
-        lit = power_at_stops.torches(context, signals)
+        lit = frozenset(signal for signal in signals if signal.lower() in burning)
         if tasks[0].text.language != "krl":
             names = [controller.tasks[_place(context, task)] for task in tasks]
             others = _others(controller, tasks, signals, partner)
@@ -111,7 +112,7 @@ def _place(context: Context, task: TaskText) -> int:
 def _powered(context: Context, joined: bool) -> list[tuple[str, tuple[TaskText, ...], list[str]]]:
     """Folder, tasks and signals of each controller whose tasks switch something on, without the clamps of
     sheets, which are moved by pulses; of all controllers where two are ``joined``."""
-    pulsed = {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
+    pulsed = {power.signal.lower() for power in powers(context.claims) if power.pulsed}
     alone = context.problem.cell.controller.sync == "handshake"
     out: list[tuple[str, tuple[TaskText, ...], list[str]]] = []
     for tasks in controllers(context.problem, context.job.tasks):

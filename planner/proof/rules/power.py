@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from planner.claims.claim import powers
 from planner.issues import Issue
 from planner.languages.rapid.reader.program_text import modules_of
-from planner.processes.forming.claims import SinksHolder
-from planner.processes.trim.claims import TrimsSheet
 from planner.programs.job import controllers
 from planner.programs.stages import TaskText
 from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step
@@ -21,9 +20,7 @@ def signals(context: Context) -> Outcome:
     once, by one task of a controller between two synchronisation points, and are off before anybody is asked
     or an arm moves."""
     issues: list[Issue] = []
-    known = {claim.signal.lower() for claim in context.contacts}
-    known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder | TrimsSheet)}
-    known.discard("")  # of a knife that is dragged
+    known = {power.signal.lower() for power in powers(context.claims)}
     known.add(context.problem.cell.controller.wire_signal.lower())
     issues += _left_on(context, known)
     runs = {task.name: tasks for tasks in controllers(context.problem, context.job.tasks) for task in tasks}

@@ -11,21 +11,17 @@ for all rules.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 
-from planner.claims import dialogue
-from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
+from planner.claims.claim import Allowance, on_straight_moves_alone
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.issues import Issue
 from planner.languages.krl.reader import spline_curve
 from planner.languages.krl.reader.spline_curve import TURN_LEVER, Bounds
 from planner.languages.krl.reader.syntax_tree import SPLINE_MOVE
-from planner.processes.milling import claims
-from planner.processes.milling.claims import SafeWays, SparesPart
-from planner.processes.poses.claims import FollowsPoses, FollowsTable
 from planner.programs.stages import TaskText
 from planner.programs.steps import JointTarget, MoveStep, PassedTarget, poses
 from planner.proof.context import Context
@@ -49,25 +45,6 @@ ARM_REACH: Final = 0.4
 NOT_SEEN_TEXT: Final = "not seen on a controller"
 """What proofs say of how controllers plan blocks."""
 
-_NO_TOLERANCE: Final[tuple[str, ...]] = ()
-"""Of claims in which no length has a tolerance."""
-_CLAIM_TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
-    ContactOnlyIn: _NO_TOLERANCE,
-    dialogue.OperatorDialogue: _NO_TOLERANCE,
-    FollowsPoses: _NO_TOLERANCE,
-    FollowsTable: _NO_TOLERANCE,
-    FeedWindow: _NO_TOLERANCE,
-    claims.MillsSurface: ("tolerance",),
-    claims.MillsAlong: ("tolerance",),
-    claims.MillsFlank: ("tolerance",),
-    claims.MillsOver: ("tolerance",),
-    claims.SparesPart: ("tolerance",),
-}
-"""Claims that are proven with spline blocks, and their tolerances [m]; those on poses ask for the points
-themselves, through which every curve goes, and for the times between them."""
-_FEED_FIELDS: Final = ("upper", "feed")
-"""Names of the fields of claims that bound feeds."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Block:
@@ -81,21 +58,6 @@ class Block:
     work: FloatArray
     tool: FloatArray
     duration: FloatArray
-
-
-@dataclasses.dataclass(frozen=True)
-class Allowance:
-    """What curves may be off the replay: the TCP by ``way`` (N,) [m] and ``turn`` (N,) [rad] on each segment,
-    at most ``joints`` [rad], and ``body`` [m] any body of the arm."""
-
-    way: FloatArray
-    turn: FloatArray
-    joints: float
-    body: float
-
-    def at(self, lever: float) -> float:
-        """How far [m] something is off at most that is so far [m] from the TCP."""
-        return float((self.way + lever * self.turn).max())
 
 
 def blocks(context: Context) -> Iterator[Block]:
@@ -148,6 +110,7 @@ def spline(context: Context) -> Outcome:
         np.concatenate([one.turn for one in own]),
         max(one.joints for one in own),
         max(one.body for one in own),
+        FASTER_FACTOR,
     )
     issues += _left(context, found[0], most) if not issues else []
     points = sum(len(block.moves) for block in found)
@@ -176,12 +139,9 @@ def _refused(context: Context, found: list[Block]) -> list[Issue]:
         if arm_model.machine_of(block.task.arm.data).data.coupling is not None:
             what = "a spline block of an arm with parallel rods, whose joints are not bounded; write SLIN"
             issues.append(at_step(SPLINE, what, block.task, block.moves[0]))
-    for kind in dict.fromkeys(type(claim) for claim in context.claims):
-        if kind not in _CLAIM_TOLERANCES:
-            what = (
-                f"a spline block in a job that claims {kind.__name__}, which is proven on straight ways alone"
-            )
-            issues.append(at_step(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
+    for kind in on_straight_moves_alone(context.claims):
+        what = f"a spline block in a job that claims {kind}, which is proven on straight ways alone"
+        issues.append(at_step(SPLINE, f"{what}; write SLIN", first.task, first.moves[0]))
     for claim in context.feeds:
         if claim.lower > 0.0:
             what = f"a spline block where {claim.segment} has a least feed, and a curve no least speed"
@@ -239,10 +199,9 @@ def _paced(context: Context, block: Block, bounds: Bounds) -> list[Issue]:
             issues.append(at_step(SPLINE, what, task, move))
     labels = {context.motion.node_label[node] for node in block.nodes}
     for claim in context.claims:
-        if not isinstance(claim, claims.MillsAlong) or len(claim.feed) < 3:
-            continue
-        if claim.segment.key in labels and np.ptp(claim.feed[1:]) > 0.0:
-            what = f"a spline block in {claim.segment}, whose feed changes on the way; write SLIN"
+        segment = claim.uneven_feed()
+        if segment is not None and segment.key in labels:
+            what = f"a spline block in {segment}, whose feed changes on the way; write SLIN"
             issues.append(at_step(SPLINE, what, task, block.moves[0]))
     return issues[:20]
 
@@ -310,7 +269,7 @@ def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, 
             )
             issues.append(at_step(SPLINE, what, task, move))
     body = _bodies(machine, q[at], block.tool, shift, way, turn)
-    return Allowance(way, turn, float(shift.max()), body), issues[:20]
+    return Allowance(way, turn, float(shift.max()), body, FASTER_FACTOR), issues[:20]
 
 
 def _rounded(block: Block) -> tuple[FloatArray, FloatArray]:
@@ -382,26 +341,15 @@ def _bodies(
     return float(np.maximum(links, held).max())
 
 
-def _lever(claim: Claim) -> float:
-    """How far [m] from the TCP a claim looks."""
-    cutter = getattr(claim, "cutter", None)
-    if cutter is None:
-        return 0.0
-    return float(cutter.overhang if isinstance(claim, SparesPart) else cutter.flute)
-
-
 def _left(context: Context, first: Block, most: Allowance) -> list[Issue]:
     """Claims of which a curve leaves nothing."""
     issues = []
     for claim in context.claims:
-        for name in _CLAIM_TOLERANCES[type(claim)]:
-            shift, allowed = most.at(_lever(claim)), getattr(claim, name)
-            if shift >= allowed or float(most.turn.max()) >= getattr(claim, "turn", np.inf):
-                what = (
-                    f"curves may be {mm(shift):.4f} mm off, which leaves nothing of the {mm(allowed):g} mm "
-                )
-                what += f"that {type(claim).__name__} allows; put points nearer to each other, or write SLIN"
-                issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
+        gone = claim.used_up(most)
+        if gone is not None:
+            what = f"curves may be {mm(gone[0]):.4f} mm off, which leaves nothing of the {mm(gone[1]):g} mm "
+            what += f"that {type(claim).__name__} allows; put points nearer to each other, or write SLIN"
+            issues.append(at_step(SPLINE, what, first.task, first.moves[0]))
     return issues[:5]
 
 
@@ -413,31 +361,8 @@ def tightened(context: Context, most: Allowance) -> Context:
     )
     problem = dataclasses.replace(context.problem, settings=settings)
     less = {
-        name: tuple(_less(claim, most) for claim in group) for name, group in context.by_operation.items()
+        name: tuple(claim.tightened(most) for claim in group) for name, group in context.by_operation.items()
     }
     out = context.replaced(problem, less)
     vars(out)["motion"] = context.motion  # it follows from the text alone
     return out
-
-
-def _less(claim: Claim, most: Allowance) -> Claim:
-    """A claim with less room.
-
-    A cutter is held by it up to the end of its flute, or of its overhang where it spares a part; holder and
-    spindle behind that keep off the whole block by the clearance, which has its own share.
-    """
-    shift = most.at(_lever(claim))
-    fields: dict[str, Any] = {name: getattr(claim, name) - shift for name in _CLAIM_TOLERANCES[type(claim)]}
-    if hasattr(claim, "turn"):
-        fields["turn"] = claim.turn - float(most.turn.max())
-    for name in _FEED_FIELDS:
-        if hasattr(claim, name) and not isinstance(claim, FollowsTable):
-            fields[name] = getattr(claim, name) / FASTER_FACTOR
-    safe = getattr(claim, "safe", None)
-    if isinstance(safe, SafeWays):
-        fields["safe"] = dataclasses.replace(
-            safe, plunge=safe.plunge / FASTER_FACTOR, rapid=safe.rapid / FASTER_FACTOR
-        )
-    if isinstance(claim, claims.MillsAlong) and claim.back is not None:
-        fields["back"] = _less(claim.back, most)
-    return dataclasses.replace(claim, **fields) if fields else claim

@@ -14,8 +14,6 @@ from planner.claims import sentences
 from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.reader.configuration import Row
 from planner.problem import Controller
-from planner.processes.trim.claims import TrimsSheet
-from planner.proof.context import Context
 
 POWER_MODULE: Final = "TandemPower"
 """Name of the module that switches outputs off and on at stops."""
@@ -38,13 +36,6 @@ _ENDED_WORDS: Final = (
     "main in all tasks, and Start.",
 )
 """Told where it would go on."""
-
-
-def torches(context: Context, signals: Sequence[str]) -> frozenset[str]:
-    """Those of the ``signals`` that light a torch, by what is claimed of trimmed sheets."""
-    trims = (claim for claim in context.claims if isinstance(claim, TrimsSheet))
-    lit = {claim.signal.lower() for claim in trims if claim.torch is not None}
-    return frozenset(signal for signal in signals if signal.lower() in lit)
 
 
 def config_row(**values: str) -> Row:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import PurePosixPath
 
+from planner.claims.claim import powers as claimed_powers
 from planner.issues import Issue
 from planner.languages.krl.rules import moves
 from planner.languages.rapid.reader.program_text import RapidText, modules_of
 from planner.languages.rapid.reader.syntax_tree import Module
-from planner.processes.trim.claims import TrimsSheet
 from planner.programs.stages import TaskText, sync_points
 from planner.programs.steps import (
     LoadStep,
@@ -58,8 +58,7 @@ def undo(context: Context) -> Outcome:
 
 def powers(context: Context, task: TaskText) -> list[str]:
     """Signals of power that a task can switch: all of one controller's tasks, or those of its own one."""
-    lit = (claim.signal for claim in context.claims if isinstance(claim, TrimsSheet) and claim.torch)
-    everywhere = sorted({*(claim.signal for claim in context.contacts), *lit})
+    everywhere = sorted({power.signal for power in claimed_powers(context.claims) if not power.pulsed})
     if context.job.readings is None:
         return everywhere
     own = {step.signal.lower() for step in task.steps if isinstance(step, SignalStep)}

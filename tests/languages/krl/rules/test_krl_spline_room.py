@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.claims.claim import FeedWindow
+from planner.claims.claim import Allowance, FeedWindow
 from planner.claims.segments import Segment
 from planner.geometry.arrays import to_quaternion
 from planner.languages.krl.reader import spline_curve
 from planner.languages.krl.rules import spline
-from planner.languages.krl.rules.spline import Allowance
 from planner.languages.krl.writer.spline_blocks import curve
 from planner.motion import solve
 from planner.processes.milling.claims import MillsAlong
@@ -53,14 +52,14 @@ def test_rounding_by_even_steps_on_an_arc_costs_some_four_sagittas():
 
 
 def test_claims_lose_what_curves_may_be_off():
-    most = Allowance(np.array([1e-5, 3e-5]), np.array([4e-4, 0.0]), 1e-3, 1e-3)
+    most = Allowance(np.array([1e-5, 3e-5]), np.array([4e-4, 0.0]), 1e-3, 1e-3, spline.FASTER_FACTOR)
     segment = Segment("mill", "wall")
     tip = np.zeros((2, 3))
     claim = MillsAlong(segment, "robot", tip, tip, np.array([0.0, 0.02]), 1e-4, 0.01)
-    less = spline._less(claim, most)
+    less = claim.tightened(most)
     assert less.tolerance == pytest.approx(7e-5) and less.turn == pytest.approx(0.0096)
     assert less.feed[1] == pytest.approx(0.02 / spline.FASTER_FACTOR)
-    window = spline._less(FeedWindow(segment, 0.0, 0.03), most)
+    window = FeedWindow(segment, 0.0, 0.03).tightened(most)
     assert window.upper == pytest.approx(0.03 / spline.FASTER_FACTOR)
     assert most.at(0.1) == pytest.approx(5e-5)
 
