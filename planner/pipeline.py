@@ -27,7 +27,7 @@ from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
 from planner.runtime import plugins, second_process
 from planner.runtime.memory import gc_frozen, release_memory
-from planner.runtime.plugins import Process
+from planner.runtime.plugins import Language, Process
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
@@ -441,12 +441,6 @@ def _proven(problem: Problem, programs: Mapping[str, str], executor: Executor) -
     return prove.prove(problem, processes.claims(problem), programs, executor)
 
 
-_PROGRAM_SUFFIXES = frozenset(
-    {".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub", ".script", ".jsonl"}
-)
-"""Suffixes of files that a controller reads as programs."""
-
-
 def read_partly(problem: Problem | spec.Problem, programs: Mapping[str, str]) -> Partial:
     """How much of programs of any origin is read and proven, for the cell of ``problem``."""
     problem = built(problem)
@@ -462,10 +456,11 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
     root = Path(folder) / "programs"
     alone = bare and not root.is_dir()
     root = Path(folder) if alone else root
+    endings = {ending for one in plugins.usable(Language).values() for ending in one.file_endings}
     texts = {
         p.relative_to(root).as_posix(): _text(p)
         for p in sorted(root.rglob("*"))
-        if p.is_file() and p != root / RELEASE and (not alone or p.suffix.lower() in _PROGRAM_SUFFIXES)
+        if p.is_file() and p != root / RELEASE and (not alone or p.suffix.lower() in endings)
     }
     if not texts:
         raise TandemError(
@@ -533,10 +528,11 @@ def _with_margins(
 ) -> Mapping[str, str]:
     """The proven programs with the proof's margins in their headers, which must change comments alone."""
     from planner.languages.writing import write
-    from planner.proof import verdict as result
+    from planner.proof import verdict
+    from planner.proof.same_program import same_program
 
-    final = write.programs(made, problem, result.text(proof))
-    if not result.same_program(programs, final):
+    final = write.programs(made, problem, verdict.text(proof))
+    if not same_program(programs, final):
         raise TandemError(
             Issue(
                 "internal.error", "the header changed more than comments of the proven programs; report this"

@@ -94,7 +94,6 @@ class Reader:
             not at all.
         move_pattern: Regular expression with one group that finds the moves of a line without strings and
             comments, known ones and others. Without it those count that are read.
-        comment: Sign that begins a comment.
         known_moves: Kinds of moves (:attr:`planner.programs.steps.MoveStep.kind`) whose path between their
             targets is known, None if all are.
     """
@@ -104,7 +103,6 @@ class Reader:
     lists: tuple[str, ...] = ()
     read_partly: Callable[[Problem, Arm, Files], PartlyRead] | None = None
     move_pattern: re.Pattern[str] | None = None
-    comment: str = "#"
     known_moves: frozenset[str] | None = None
 
 

@@ -17,6 +17,8 @@ from planner.programs.language import Arms, Files, PartlyRead, Reader, Way
 from planner.programs.program_text import NO_TEXT
 from planner.programs.steps import Fault, MoveStep
 from planner.programs.text import settled, strange
+from planner.runtime import plugins
+from planner.runtime.plugins import Language
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,8 @@ def _read(problem: Problem, reader: Reader, together: Arms, name: str, files: Fi
         steps = (step for step in found.way if isinstance(step, MoveStep))
         moves = tuple((places.get(step.module, step.module), step.line) for step in steps)
     else:
-        moves = _moves(files, reader.move_pattern, reader.comment)
+        language = plugins.usable(Language)[found.text.language]
+        moves = _moves(files, reader.move_pattern, language.comment)
     return Read(reader, arm, name, files, found.way, places, _one_a_line(found.unread), moves)
 
 

@@ -31,11 +31,14 @@ class ProgramText(abc.ABC):
 
     Attributes:
         language: Name of the language, as in :mod:`planner.runtime.plugins`.
+        is_trajectory: Whether moves are cubics of the joints between points with velocities. Such programs
+            compare the joints with the start of each move before it begins.
     """
 
     __slots__ = ()
 
     language: ClassVar[str]
+    is_trajectory: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod

@@ -20,6 +20,8 @@ from typing import Any, Final
 from planner.claims.segments import Segment
 from planner.problem import Controller
 from planner.programs.steps import Fault
+from planner.runtime import plugins
+from planner.runtime.plugins import Language
 
 BYTE_ORDER_MARK = "\ufeff"
 """The byte order mark that some editors put before UTF-8."""
@@ -27,8 +29,6 @@ _CONTROL_CHARACTER = re.compile(r"[^\t\n\r -~]|\r(?!\n)")
 """Characters that no program has."""
 STRING = re.compile(r'"[^"\n]*"')
 """A string in quotes."""
-_COMMENT_SIGN = {".src": ";", ".dat": ";", ".sub": ";", ".script": "#"}
-"""Sign of a comment by the file's suffix; in RAPID it is another one."""
 
 
 def decode(data: bytes, file: str = "") -> str:
@@ -62,14 +62,22 @@ def settled(file: str, text: str) -> tuple[str, tuple[Fault, ...]]:
 
 
 def _utf_8(file: str) -> bool:
-    """Whether a module is of RobotWare 7, which reads UTF-8 without a mark."""
-    return PurePosixPath(file).suffix.lower() in (".modx", ".sysx")
+    """Whether the controller that loads a file reads UTF-8 without a mark, as RobotWare 7 does."""
+    ending = PurePosixPath(file).suffix.lower()
+    return any(ending in one.utf_8 for one in plugins.usable(Language).values())
+
+
+def _comment_sign(file: str) -> str:
+    """The sign that begins a comment in a file. Other files are configurations of ABB controllers."""
+    ending = PurePosixPath(file).suffix.lower()
+    signs = (one.comment for one in plugins.usable(Language).values() if ending in one.file_endings)
+    return next(signs, "!")
 
 
 def strange(file: str, text: str) -> list[Fault]:
     """The first character that a controller may take for something else, such as a lone carriage return,
     which would end a comment. Letters of any alphabet may stand in comments, and there alone."""
-    mark = _COMMENT_SIGN.get(PurePosixPath(file).suffix.lower(), "!")
+    mark = _comment_sign(file)
     for found in _CONTROL_CHARACTER.finditer(text):
         letter = found.group()
         if not _takes_only_place(letter):

@@ -30,14 +30,13 @@ from planner.claims.dialogue import (
 from planner.claims.sentences import Sentence
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
-from planner.languages.krl import sentences as krl_sentences
-from planner.languages.urscript import sentences as urscript_sentences
 from planner.problem import Setup
 from planner.programs.dialogue_text import fit, sentence_text
 from planner.programs.stages import JobText, TaskText
 from planner.programs.steps import MessageStep, MoveStep, RobTarget, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context
+from planner.proof.language_contribution import of_task
 
 PANEL_STATE = "#STATE"
 """What the panel of a KUKA controller shows while a program waits, in forms that their own reader holds."""
@@ -285,34 +284,21 @@ def _partner(context: Context, task: TaskText) -> str:
 
 
 def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
-    first = bool(context.setups[0].steps)
-    krl, lead = task.text.language != "rapid", task is context.job.tasks[0]
-    if krl:
-        question = sentences.KRL_CLEAR if first else sentences.KRL_READY
-    else:
-        question = sentences.CLEAR if first else sentences.READY
+    start, is_lead = of_task(task).start, task is context.job.tasks[0]
+    question = start.clear if context.setups[0].steps else start.ready
     partner = _partner(context, task)
     if partner:
-        asked = krl_sentences.KRL_EARLIER if krl else sentences.EARLIER
-        if task.text.language == "urscript":
-            asked = urscript_sentences.UR_EARLIER if lead else urscript_sentences.UR_CALLED
-        earlier = question_step(asked, other=partner)
-        if not lead:
+        if not is_lead:
+            earlier = question_step(start.follower_earlier, other=partner)
             return earlier, message_step(sentences.READY_TO_MEET, other=partner)
-        both = {"other": partner, "arm": task.arm.name, "start": question.words}
-        called = (
-            sentences.START_PARTNER
-            if task.text.language != "urscript"
-            else urscript_sentences.UR_START_PARTNER
-        )
         return (
-            earlier,
-            message_step(called, other=partner),
-            question_step(sentences.PARTNER_READY, **both),
+            question_step(start.leader_earlier, other=partner),
+            message_step(start.start_partner, other=partner),
+            question_step(sentences.PARTNER_READY, other=partner, arm=task.arm.name, start=question.words),
         )
-    if not lead:
+    if not is_lead:
         return ()
-    return (question_step(sentences.NO_WIRE if joined(context) and not krl else question),)
+    return (question_step(start.joined if start.joined and joined(context) else question),)
 
 
 def _setup(setup: Setup) -> tuple[DialogueStep, ...]:

@@ -7,13 +7,9 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from planner.issues import Issue, TandemError
-from planner.languages.krl.rules import moves as krl_moves
-from planner.languages.krl.rules import spline
-from planner.languages.rapid.rules import confdata
-from planner.languages.rapid.rules import settings as rapid_settings
-from planner.languages.trajectories.rules import trajectories
 from planner.problem import Problem
 from planner.proof.contribution import Ahead, of_processes
+from planner.proof.language_contribution import of_languages
 from planner.proof.rule import Rule
 from planner.proof.rule_order import ORDER, Stage
 from planner.proof.rules import (
@@ -29,6 +25,7 @@ from planner.proof.rules import (
     part_file,
     power,
     robot_motion,
+    settings,
     setups_and_frames,
     synchronisation,
     text,
@@ -47,6 +44,7 @@ GENERAL: Final[tuple[Rule, ...]] = (
     *(synchronisation.task_list, synchronisation.sync_order, synchronisation.move_count),
     *(synchronisation.move_ids, synchronisation.zone_kind, synchronisation.move_time),
     *(synchronisation.speed_data, synchronisation.arms_alone, synchronisation.stop_before_logic),
+    *(settings.motion_settings, settings.hidden),
     *(handshake.handshake, waiting_time.meeting_time, waiting_time.power_idle),
     *(controller_files.cell_check, controller_files.controller_files),
     *(setups_and_frames.setup, setups_and_frames.tool_data, setups_and_frames.work_object),
@@ -61,19 +59,11 @@ BODIES: Final = Ahead("bodies", "sheets", lambda context: not context.long)
 """The rules on the bodies of the cell, which need no fact of a process."""
 
 
-def _of_languages() -> tuple[Rule, ...]:
-    return (
-        *(rapid_settings.error_handler, rapid_settings.undo, rapid_settings.motion_settings),
-        *(rapid_settings.hidden, confdata.confdata, krl_moves.status, spline.spline),
-        *(trajectories.start_posture, trajectories.goal_tolerances, trajectories.power_on_failure),
-        trajectories.between_points,
-    )
-
-
 def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
     """Return all rules that may apply to a problem, in no order."""
     own = (rule for one in of_processes(problem) for rule in one.rules)
-    return tuple(dict.fromkeys((*GENERAL, *_of_languages(), *own)))
+    texts = (rule for one in of_languages(problem) for rule in one.rules)
+    return tuple(dict.fromkeys((*GENERAL, *texts, *own)))
 
 
 def by_stage(rules: Iterable[Rule]) -> Mapping[Stage, tuple[Rule, ...]]:

@@ -1,14 +1,13 @@
 """Result of a proof: the verdict rule by rule, arrays over the motion, and margins as text.
 
-The margins are written into the headers of programs. `same_program` checks that a header changes nothing
-else.
+The margins are written into the headers of programs. :mod:`planner.proof.same_program` checks that a header
+changes nothing else.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,6 @@ import numpy as np
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, has_errors
-from planner.languages.krl.reader.parser import without_comments
-from planner.languages.rapid.reader.same_text import text_lines, text_words
-from planner.languages.urscript.reader.words import without_comments as without_hash_comments
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,16 +128,3 @@ def text(proof: Proof) -> dict[str, str]:
             limit = "" if rule.limit is None else f", allowed {rule.limit:.4g} {rule.unit}"
             out[name] = f"{rule.worst:.4g} {rule.unit}{limit}"
     return out
-
-
-def same_program(first: Mapping[str, str], second: Mapping[str, str]) -> bool:
-    """Whether two sets of programs differ in comments and white space at most, file by file."""
-    return first.keys() == second.keys() and all(_same(name, first[name], second[name]) for name in first)
-
-
-def _same(name: str, first: str, second: str) -> bool:
-    if PurePosixPath(name).suffix.lower() in (".src", ".dat"):
-        return without_comments(first) == without_comments(second)
-    if PurePosixPath(name).suffix.lower() == ".script":
-        return without_hash_comments(first) == without_hash_comments(second)
-    return text_lines(first) == text_lines(second) or text_words(first) == text_words(second)

@@ -58,10 +58,13 @@ class Language:
         title: Name of the language in messages.
         families: Families of robots whose controllers read the language.
         endings: Endings of the names of program files, in lower case, with the dot.
+        other_endings: Endings of other text files of the language, such as lists of programs.
+        utf_8: Endings of files that the controller reads as UTF-8 without byte order mark.
+        comment: Sign that begins a comment.
         codes: Mapping of issue codes to :class:`planner.issue_codes.Code`.
         reader: :class:`planner.programs.language.Reader`: reads programs.
         writer: :class:`planner.languages.writing.language.Writer`: refuses jobs, and writes programs.
-        proof: :class:`planner.proof.contribution.ProofOfLanguage`: rules about the text.
+        proof: :class:`planner.proof.language_contribution.ProofOfLanguage`: rules about the text.
         report: :class:`planner.report.contribution.ReportOfLanguage`: rows of the setup sheet.
     """
 
@@ -72,9 +75,17 @@ class Language:
     endings: tuple[str, ...]
     reader: Reference
     writer: Reference
+    other_endings: tuple[str, ...] = ()
+    utf_8: tuple[str, ...] = ()
+    comment: str = "#"
     codes: Reference | None = None
     proof: Reference | None = None
     report: Reference | None = None
+
+    @property
+    def file_endings(self) -> tuple[str, ...]:
+        """Endings of all text files of the language."""
+        return (*self.endings, *self.other_endings)
 
 
 Plugin = Process | Language

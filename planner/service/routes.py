@@ -28,6 +28,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from planner.files import RELEASE, THUMBNAIL
 from planner.issue_codes import CODES
 from planner.issues import Issue, has_errors
+from planner.runtime import plugins
+from planner.runtime.plugins import Language
 from planner.runtime.version import __version__
 from planner.service import audit, finding, idempotency, metrics, releases
 from planner.service.answers import HEAD, MadeFile, is_known, packed, stored_file, tagged
@@ -464,9 +466,11 @@ TYPES: Final = {
     ".obj": "model/obj",
     ".npz": "application/octet-stream",
     ".yaml": "application/yaml",
-    **dict.fromkeys(
-        (".mod", ".modx", ".pgf", ".src", ".dat", ".script", ".jsonl"), "text/plain; charset=utf-8"
-    ),
+    **{
+        ending: "text/plain; charset=utf-8"
+        for one in plugins.usable(Language).values()
+        for ending in one.file_endings
+    },
 }
 """Content types of the files of a result."""
 PARTS: Final[dict[int | str, dict[str, Any]]] = {

@@ -2,7 +2,7 @@
 
 import pytest
 
-from planner.proof import verdict
+from planner.proof.same_program import same_program
 from tests.proof import small_job
 from tests.work import counted
 
@@ -35,7 +35,7 @@ ENDMODULE
 )
 def test_only_comments_and_white_space(before, after, same):
     assert TEXT.count(before) == 1
-    assert verdict.same_program({"a.mod": TEXT}, {"a.mod": TEXT.replace(before, after)}) == same
+    assert same_program({"a.mod": TEXT}, {"a.mod": TEXT.replace(before, after)}) == same
 
 
 KRL = """&ACCESS RVP
@@ -70,18 +70,16 @@ END
     ],
 )
 def test_krl_comments_that_the_proof_reads_count(before, after, same):
-    assert verdict.same_program({"a.src": KRL}, {"a.src": KRL.replace(before, after)}) == same
+    assert same_program({"a.src": KRL}, {"a.src": KRL.replace(before, after)}) == same
 
 
 def test_no_file_more_or_less():
-    assert not verdict.same_program({"a.mod": TEXT}, {"a.mod": TEXT, "b.mod": TEXT})
+    assert not same_program({"a.mod": TEXT}, {"a.mod": TEXT, "b.mod": TEXT})
 
 
 def test_long_programs_are_compared_with_work_in_proportion():
     text = small_job.programs()["T_ROB1/TandemCut1_1.mod"] * 200
-    _, few = counted(
-        verdict.same_program, {"a.mod": text[: len(text) // 10]}, {"a.mod": text[: len(text) // 10]}
-    )
-    same, many = counted(verdict.same_program, {"a.mod": text}, {"a.mod": "! Proven.\n" + text})
+    _, few = counted(same_program, {"a.mod": text[: len(text) // 10]}, {"a.mod": text[: len(text) // 10]})
+    same, many = counted(same_program, {"a.mod": text}, {"a.mod": "! Proven.\n" + text})
     assert same
     assert many < 10.5 * few

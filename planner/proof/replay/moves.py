@@ -302,7 +302,7 @@ def make_row(
     named = np.zeros(count, dtype=bool)
     axes = machine.data.axes
     q = np.full((count, axes), np.nan)
-    rates = np.zeros((count, axes)) if task.text.language == "trajectories" else None
+    rates = np.zeros((count, axes)) if task.text.is_trajectory else None
     work: dict[int, FloatArray] = {}
     frame = np.zeros((count, 4, 4))
     tool = np.zeros((count, 4, 4))

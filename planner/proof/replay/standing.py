@@ -29,7 +29,7 @@ def standing(context: Context) -> BoolArray:
     out = np.zeros(len(motion.node_stop), dtype=np.bool_)
     share = np.linspace(0.0, 1.0, _PIECES + 1)[:, None, None]
     for number, stage in enumerate(context.job.stages):
-        tasks = [t for t in context.job.tasks if t.text.language == "trajectories" and stage.moves(t.name)]
+        tasks = [t for t in context.job.tasks if t.text.is_trajectory and stage.moves(t.name)]
         moves = [stage.moves(task.name) for task in tasks]
         if not tasks:
             continue

@@ -81,11 +81,7 @@ def tool_speeds(context: Context) -> Mapping[str, ToolSpeeds]:
     """By arm, of those that trajectories drive."""
     key = "_tool_speeds"
     if key not in context.__dict__:
-        arms = {
-            task.arm.name: _arm(context, task)
-            for task in context.job.tasks
-            if task.text.language == "trajectories"
-        }
+        arms = {task.arm.name: _arm(context, task) for task in context.job.tasks if task.text.is_trajectory}
         context.__dict__[key] = {name: _speeds(context, arm, arms) for name, arm in arms.items()}
     found: Mapping[str, ToolSpeeds] = context.__dict__[key]
     return found

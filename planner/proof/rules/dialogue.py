@@ -15,7 +15,6 @@ from planner.claims.claim import OneOf
 from planner.claims.dialogue import DialogueStep, OperatorDialogue
 from planner.claims.sentences import Sentence
 from planner.issues import Issue
-from planner.languages.trajectories.rules import trajectories
 from planner.programs.dialogue_text import Fit, fit
 from planner.programs.dialogue_text import sentence_text as sentence_of
 from planner.programs.stages import TaskText
@@ -23,6 +22,7 @@ from planner.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, W
 from planner.proof import dialogue
 from planner.proof.context import Context
 from planner.proof.dialogue import Part, Place, Said, Spoken, spoken_steps, wanted_dialogue
+from planner.proof.language_contribution import job_issues
 from planner.proof.rule import Outcome, at_step, rule
 
 DIALOGUE = "verify.dialogue"
@@ -59,7 +59,7 @@ def messages_and_questions(context: Context) -> Outcome:
     the task and at the place where it belongs, confirmed by one button, with the signals and waits between
     and every arm at rest; nothing else is shown, also in handlers."""
     found, said = wanted_dialogue(context), spoken_steps(context.job)
-    issues: list[Issue] = [*context.untold, *trajectories.announced(context)]
+    issues: list[Issue] = [*context.untold, *job_issues(DIALOGUE, context)]
     for task in context.job.tasks:
         _, faults = compare_steps(task, found[task.name], said[task.name], found)
         issues += faults

@@ -13,14 +13,12 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.issues import Issue
-from planner.languages.krl import sentences as krl_sentences
-from planner.languages.krl.reader.flow import AXIS_LOOK
-from planner.languages.rapid.reader.flow import AXES_CHECK
 from planner.problem import STOCK, TILT, RotaryAxis, Setup, Turntable
 from planner.programs.stages import TaskText
 from planner.programs.steps import MOST_OUTER, UNUSED_AXIS, MoveStep, RobTarget, SettingStep
 from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, outer_axes, place_in_turn, slid
+from planner.proof.language_contribution import ExternalAxes, checked, of_task
 from planner.proof.rule import Outcome, at_step, mm, rule
 from planner.proof.rules.setups_and_frames import FRAME_ANGLE, FRAME_POSITION, at_home
 
@@ -30,7 +28,7 @@ SLACK = 1.0 + 1e-6
 """Speeds may be higher by this factor: they are rounded."""
 OFF_HOME = {"mm": 1.0, "deg": 0.1}
 """How far an axis may be off home where a program begins, by the unit of its values."""
-_CODE = "verify.external_axes"
+EXTERNAL_AXES = "verify.external_axes"
 """Code of the rule about units and values."""
 
 
@@ -55,9 +53,8 @@ def external_axes(context: Context) -> Outcome:
     table = context.problem.cell.turntable
     for task in context.job.tasks:
         axes = outer_axes(task.arm, table)
-        issues += _units(task, axes) if task.text.language == "rapid" else ()
+        issues += checked(EXTERNAL_AXES, context, task).issues
         if axes:
-            issues += _offsets(task, axes) if task.text.language == "rapid" else ()
             issues += _looked(context, task, axes)
             issues += _values(context, task, axes)
         for axis in axes:
@@ -77,50 +74,6 @@ def _stations(context: Context, axis: OuterAxis) -> list[float]:
     return [value for value in found if value is not None]
 
 
-def _units(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
-    """What is wrong with the units that a task switches."""
-    on, moved = dict.fromkeys((axis.mechanism.lower() for axis in axes), 0), False
-    names = {axis.mechanism.lower(): axis.mechanism for axis in axes}
-    for step in task.steps:
-        moved |= isinstance(step, MoveStep)
-        if not isinstance(step, SettingStep) or step.kind not in ("ActUnit", "DeactUnit"):
-            continue
-        if step.unit not in on:
-            wanted = " and ".join(names.values()) or "none"
-            what = f"{step.kind} {step.unit}: the unit of {task.arm.name} is {wanted}"
-            yield at_step(_CODE, what, task, step)
-        elif step.kind == "DeactUnit":
-            what = f"{names[step.unit]} is switched off, and its brakes alone hold it"
-            yield at_step(_CODE, what, task, step)
-        else:
-            on[step.unit] += 1
-            if moved or on[step.unit] > 1:
-                what = f"{names[step.unit]} is to be switched on once, before any move"
-                yield at_step(_CODE, what, task, step)
-    for unit in (names[key] for key, count in on.items() if not count):
-        what = f"{unit} is not switched on: its values count for nothing"
-        yield Issue(_CODE, what, arm=task.arm.name, file=task.name, hint=f"ActUnit {unit};")
-
-
-def _offsets(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
-    """Moves that offsets of external axes would shift, which another program may have left on: all behind
-    which none are switched off (EOffsOff), and moves of joints that do not say to pass over them (\\NoEOffs),
-    as a start from elsewhere than main passes over the former."""
-    names, off = " and ".join(axis.unit for axis in axes), False
-    for step in task.steps:
-        off |= isinstance(step, SettingStep) and step.kind == "EOffsOff"
-        looks = isinstance(step, SettingStep) and step.kind == AXES_CHECK
-        if not off and (looks or isinstance(step, MoveStep)):
-            what = f"an offset of {names} that another program has left would shift where it is seen and goes"
-            yield at_step(_CODE, what, task, step, "EOffsOff; before all looks and moves")
-            return
-        if not isinstance(step, MoveStep):
-            continue
-        if step.kind == "MoveAbsJ" and "noeoffs" not in step.switches:
-            what = f"an offset of {names} would shift the move"
-            yield at_step(_CODE, what, task, step, "MoveAbsJ with \\NoEOffs")
-
-
 def _looked(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
     """Axes at which a program does not look right before its first move: whether they are at home, so that
     this move takes none of them anywhere. Nothing may come between the look and the move but settings."""
@@ -132,24 +85,11 @@ def _looked(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
             break
         looks.append(step)
     for axis in axes:
-        if task.text.language == "rapid":  # what is compared there is for verify.cell_check
-            seen = any(look.kind == AXES_CHECK for look in looks)
-        else:
-            dialect = context.problem.cell.controller.dialect
-            seen = any(_looks_at(axis, look, dialect) for look in looks if look.kind == AXIS_LOOK)
+        seen = any(of_task(task).external_axes.looks_at(context, axis, look) for look in looks)
         if not seen:
             what = f"an arm moves, and nothing looks right before whether {axis.unit} is at home"
             move = steps[first] if first < len(steps) else None
-            yield at_step(_CODE, f"{what} ({axis.shown(axis.home)})", task, move)
-
-
-def _looks_at(axis: OuterAxis, look: SettingStep, dialect: str) -> bool:
-    """Whether a look of KRL is at an axis, at its home, as narrow as it should be, and tells the operator."""
-    column, home, most = look.values
-    wanted = f"{home:.4f}"
-    text = krl_sentences.KRL_AXIS_AWAY.filled(unit=axis.unit, sign=axis.sign, home=wanted)
-    here = column == axis.column and abs(axis.scale * home - axis.home) <= SAME_VALUE
-    return here and most <= OFF_HOME[axis.sign] and look.switches == (text if dialect == "krc4" else "",)
+            yield at_step(EXTERNAL_AXES, f"{what} ({axis.shown(axis.home)})", task, move)
 
 
 def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
@@ -162,9 +102,9 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         for move in stage.moves(task.name):
-            wrong = _unfit(move, axes, task.text.language == "rapid")
+            wrong = _unfit(move, axes, of_task(task).external_axes)
             if wrong:
-                yield at_step(_CODE, wrong, task, move)
+                yield at_step(EXTERNAL_AXES, wrong, task, move)
                 return  # where things stand from here on is not known
             values = {axis: axis.scale * float(move.target.external[axis.column]) for axis in axes}
             along = [axis for axis in axes if axis.follow is not None and not move.by_joints]
@@ -179,35 +119,37 @@ def _values(context: Context, task: TaskText, axes: Sequence[OuterAxis]) -> Iter
             off = off and bool(going)  # nothing comes between question and axes
             if len(going) > 1:
                 what = f"{' and '.join(axis.unit for axis in going)} move at once, not one after the other"
-                yield at_step(_CODE, what, task, move)
+                yield at_step(EXTERNAL_AXES, what, task, move)
             for axis in axes:
                 value = values[axis]
                 goes = axis in going
                 if before is None or goes:
                     told = before is None or in_turn
                     for what in _move_faults(context, task, axis, before, move):
-                        yield at_step(_CODE, what, task, move)
+                        yield at_step(EXTERNAL_AXES, what, task, move)
                     if stage.synchronised:
-                        yield at_step(_CODE, f"{axis.unit} moves together with other arms", task, move)
+                        yield at_step(
+                            EXTERNAL_AXES, f"{axis.unit} moves together with other arms", task, move
+                        )
                     if not told:
                         what = (
                             f"{axis.unit} moves within setup {index + 1}, where nobody was told to keep off"
                         )
                         what += ", or not in its order" if len(axes) > 1 else ""
-                        yield at_step(_CODE, what, task, move)
+                        yield at_step(EXTERNAL_AXES, what, task, move)
                 if goes:
                     for other in _not_home(context, task, number, since):
-                        yield at_step(_CODE, f"{axis.unit} moves while {other}", task, move)
+                        yield at_step(EXTERNAL_AXES, f"{axis.unit} moves while {other}", task, move)
                 if before is None and goes:
                     what = f"the first move takes {axis.unit} to {axis.shown(value)}, not home "
-                    yield at_step(_CODE, f"{what}({axis.shown(axis.home)})", task, move)
+                    yield at_step(EXTERNAL_AXES, f"{what}({axis.shown(axis.home)})", task, move)
                 if before is None or goes or axis in along:  # else it stays: a little each would add up
                     last[axis.column] = value
             before, came = move, number
     for axis in axes:
         if abs(last[axis.column] - axis.home) > SAME_VALUE:
             what = f"the program ends with {axis.unit} at {axis.shown(last[axis.column])}, not home again "
-            yield Issue(_CODE, f"{what}({axis.shown(axis.home)})", arm=task.arm.name, file=task.name)
+            yield Issue(EXTERNAL_AXES, f"{what}({axis.shown(axis.home)})", arm=task.arm.name, file=task.name)
 
 
 def _move_faults(
@@ -244,19 +186,17 @@ def _not_home(context: Context, task: TaskText, number: int, since: int) -> Iter
             yield f"{other.arm.name} has been away from home since it was asked for"
 
 
-def _unfit(move: MoveStep, axes: Sequence[OuterAxis], rapid: bool) -> str:
-    """What is wrong with the external axes of one target. Those that are not there are 9E9 in RAPID; data of
-    KRL have 0 there, and targets in place leave them out."""
+def _unfit(move: MoveStep, axes: Sequence[OuterAxis], stated: ExternalAxes) -> str:
+    """What is wrong with the external axes of one target, and with how they are ``stated``."""
     outer, names = move.target.external, " and ".join(axis.unit for axis in axes)
     others = np.delete(outer, [axis.column for axis in axes])
     none = np.abs(others - UNUSED_AXIS) <= 1e3
-    if not np.isfinite(outer).all() or not (none if rapid else none | (others == 0.0)).all():
+    if not np.isfinite(outer).all() or not (none | (stated.zero_is_unused & (others == 0.0))).all():
         return f"the target has values of other axes than {names}, which are not there"
     for axis in axes:
         value = float(outer[axis.column])
         if abs(value) >= MOST_OUTER:
-            word = f"eax_{'abcdef'[axis.column]}" if rapid else f"E{axis.column + 1}"
-            return f"the target has no value of {axis.unit} ({word})"
+            return f"the target has no value of {axis.unit} ({stated.names[axis.column]})"
         at = axis.scale * value
         if not axis.low - SAME_VALUE <= at <= axis.high + SAME_VALUE:
             span = f"{axis.shown(axis.low)} to {axis.shown(axis.high)}"
@@ -286,7 +226,7 @@ def _left_behind(context: Context) -> Iterator[Issue]:
                     )
                     if off > SAME_VALUE:
                         what = f"{name} is not where {rail.label} takes it in setup {index + 1}"
-                        yield Issue(_CODE, what, arm=arm.name)
+                        yield Issue(EXTERNAL_AXES, what, arm=arm.name)
 
 
 # ---- turntables ----
@@ -296,7 +236,7 @@ def _moved(context: Context, table: Turntable) -> Iterator[Issue]:
     """A turntable that no program moves."""
     if all(task.arm.name != table.arm for task in context.job.tasks):
         what = f"{table.unit} is moved by the program of {table.arm}, which is not there"
-        yield Issue(_CODE, what, arm=table.arm)
+        yield Issue(EXTERNAL_AXES, what, arm=table.arm)
 
 
 def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
@@ -311,19 +251,19 @@ def _turned(context: Context, table: Turntable) -> Iterator[Issue]:
             lean = context.stations.get(number, {}).get(TILT, lean if table.tilt is None else np.nan)
         if at is None or place is None or not np.isfinite(value + lean):
             what = f"nothing says where {table.unit} has the block stand in setup {index + 1}"
-            yield Issue(_CODE, what, hint=f"a value of {table.unit} in each target")
+            yield Issue(EXTERNAL_AXES, what, hint=f"a value of {table.unit} in each target")
             continue
         off, turn = off_place(table, at, (value, lean), place)
         if off > 2.0 * FRAME_POSITION or turn > 2.0 * FRAME_ANGLE:
             shown = " and ".join(f"{np.rad2deg(v):g}" for v in (value, lean)[: len(table.axes)])
             what = f"{table.unit} at {shown} deg has the block {mm(off):.4f} mm and "
             what += f"{np.rad2deg(turn):.4f} deg off where its frame is in setup {index + 1}"
-            yield Issue(_CODE, what, value=mm(off), limit=mm(FRAME_POSITION), unit="mm")
+            yield Issue(EXTERNAL_AXES, what, value=mm(off), limit=mm(FRAME_POSITION), unit="mm")
         for name in _misplaced(context, setup, table, lean):
             what = (
                 f"{name} is not where {table.unit} at {np.rad2deg(lean):g} deg tilts it in setup {index + 1}"
             )
-            yield Issue(_CODE, what)
+            yield Issue(EXTERNAL_AXES, what)
 
 
 def clamped(context: Context, index: int) -> FloatArray | None:

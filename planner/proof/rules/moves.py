@@ -7,25 +7,16 @@ the first one is unknown.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
-from planner.languages.krl.rules import moves as krl_moves
-from planner.languages.rapid.rules.settings import REFUSED_OPTIONS
-from planner.languages.trajectories.reader import flow as trajectory_flow
-from planner.languages.urscript.reader.syntax_tree import STAND
+from planner.issues import Issue
 from planner.programs.stages import TaskText
-from planner.programs.steps import (
-    UNUSED_AXIS,
-    JointTarget,
-    MoveStep,
-    PassedTarget,
-    RobTarget,
-    SettingStep,
-    StatusTarget,
-)
+from planner.programs.steps import JointTarget, MoveStep, PassedTarget, RobTarget, StatusTarget
 from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import outer_axes
+from planner.proof.language_contribution import checked, of_task
 from planner.proof.rule import Outcome, at_step, mm, rule
 from planner.proof.rules.synchronisation import straight_way
 
@@ -37,8 +28,6 @@ BLIND_TURN_RATE = np.deg2rad(45.0)
 """Highest turning [rad/s] from there."""
 BLIND_SPEED_SHARE = 0.10
 """Highest share of each axis' own speed from there, where shares are what a language states."""
-LINEAR, ROTARY = 5.0, np.deg2rad(1000.0)
-"""Highest speeds of external axes that a move may state [m/s, rad/s]; no arm here has any."""
 SPEED_ROUNDING = 1.0 + 1e-6
 """Speeds may be higher by this factor: they are rounded."""
 
@@ -48,63 +37,47 @@ def unknown_start(context: Context) -> Outcome:
     """The first move of each arm begins where its start is not known, so it is no faster than what it states:
     250 mm/s and 45 deg/s, or less where the problem allows less; KRL and URScript 10 % of each axis. Joint
     moves state no times."""
-    found = []
-    worst = 0.0
+    found, worst = list[Issue](), 0.0
     told: dict[str, list[str]] = {}
-    limit = min(BLIND_SPEED, context.problem.settings.tcp_speed)
+    none = "nothing moves"
     for task in context.job.tasks:
-        moves = [step for step in task.steps if isinstance(step, MoveStep)]
-        if task.text.language == "trajectories":
-            continue  # verify.start_posture: nothing moves from a place that is not known
-        if moves:
-            share, faults = (
-                _rapid(moves[0], limit) if task.text.language == "rapid" else _shares(task, moves[0])
-            )
-            worst = max(worst, share)
-            told.setdefault(_words(moves[0]), []).append(task.arm.name)
-            found += [at_step(UNKNOWN_START, f"start not known: {fault}", task, moves[0]) for fault in faults]
-        for move in moves if task.text.language == "rapid" else ():
-            found += [at_step(UNKNOWN_START, fault, task, move) for fault in _stated(move)]
+        one = checked(UNKNOWN_START, context, task)
+        found += one.issues
+        worst = max(worst, one.worst or 0.0)
+        none = one.nothing or none
+        if one.where:
+            told.setdefault(one.where, []).append(task.arm.name)
     words = "; ".join(f"{stated} ({', '.join(arms)})" for stated, arms in told.items())
-    looked = any(task.text.language == "trajectories" for task in context.job.tasks)
-    none = "each move begins where it was looked at" if looked else "nothing moves"
     where, nothing = f"start not known: at most {words}", "" if told else none
     return Outcome(tuple(found), 100.0 * worst, 100.0, "% of the speed allowed", where, nothing)
 
 
-def _rapid(move: MoveStep, limit: float) -> tuple[float, list[str]]:
-    """The first move's share of the speeds allowed, and what is wrong with it."""
-    speed = move.speed.tcp if move.velocity is None else move.velocity
-    faults = []
-    if speed > limit * SPEED_ROUNDING:
-        faults.append(f"the move's speed is {mm(speed):g} mm/s; allowed: {mm(limit):g} mm/s")
-    if move.speed.turn > BLIND_TURN_RATE * SPEED_ROUNDING:
-        turn = np.rad2deg([move.speed.turn, BLIND_TURN_RATE])
-        faults.append(f"the tool may turn at {turn[0]:g} deg/s; allowed: {turn[1]:g} deg/s")
-    return max(speed / limit, float(move.speed.turn / BLIND_TURN_RATE)), faults
-
-
-def _shares(task: TaskText, move: MoveStep) -> tuple[float, list[str]]:
-    """Check the fraction of the axes' speeds that a PTP (KRL) or movej (URScript) states."""
+def axis_shares(context: Context, task: TaskText) -> Outcome:
+    """Check the fraction of the axes' speeds that the first move states, a PTP (KRL) or movej (URScript)."""
+    move = next((step for step in task.steps if isinstance(step, MoveStep)), None)
+    if move is None:
+        return Outcome()
     if move.speed.axes is None:
-        return 0.0, [f"{move.kind} does not state shares of the axes' speeds; PTP or movej does"]
+        what = f"{move.kind} does not state shares of the axes' speeds; PTP or movej does"
+        return unknown_start_outcome(task, move, 0.0, [what])
     fastest = max(move.speed.axes)
     axis = int(np.argmax(move.speed.axes)) + 1
     what = f"axis {axis} goes at {100.0 * fastest:g} % of its speed; allowed: {100.0 * BLIND_SPEED_SHARE:g} %"
-    return fastest / BLIND_SPEED_SHARE, [what] if fastest > BLIND_SPEED_SHARE * SPEED_ROUNDING else []
+    faults = [what] if fastest > BLIND_SPEED_SHARE * SPEED_ROUNDING else []
+    return unknown_start_outcome(task, move, fastest / BLIND_SPEED_SHARE, faults)
 
 
-def _stated(move: MoveStep) -> list[str]:
-    """What is wrong with speeds of a move that has no way of its own to hold them against."""
-    faults = []
-    if move.by_joints and move.time is not None:
-        faults.append("a joint move states its time, and takes it however far it goes; state a speed")
-    speed = move.speed
-    fits = 0.0 < speed.linear <= LINEAR * SPEED_ROUNDING and 0.0 < speed.rotary <= ROTARY * SPEED_ROUNDING
-    if move.time is None and not fits:
-        what = f"external axes at {mm(speed.linear):g} mm/s and {np.rad2deg(speed.rotary):g} deg/s"
-        faults.append(f"{what}; allowed: above 0, to {mm(LINEAR):g} and {np.rad2deg(ROTARY):g}")
-    return faults
+def unknown_start_outcome(task: TaskText, move: MoveStep, share: float, faults: Sequence[str]) -> Outcome:
+    """Return what was found about the first move of a task.
+
+    Args:
+        task: The task.
+        move: Its first move.
+        share: Its speed as a fraction of the allowed one.
+        faults: What is wrong with it.
+    """
+    issues = tuple(at_step(UNKNOWN_START, f"start not known: {fault}", task, move) for fault in faults)
+    return Outcome(issues, share, where=_words(move))
 
 
 def _words(move: MoveStep) -> str:
@@ -113,6 +86,17 @@ def _words(move: MoveStep) -> str:
         return f"{100.0 * max(move.speed.axes):g} % of each axis"
     speed = move.speed.tcp if move.velocity is None else move.velocity
     return f"{mm(speed):g} mm/s, {np.rad2deg(move.speed.turn):g} deg/s"
+
+
+def accelerations(task: TaskText) -> list[Issue]:
+    """Return the moves by joints that ask for more of their leading axis than every axis has."""
+    limit, out = float(np.min(task.arm.data.acceleration)), []
+    for step in task.steps:
+        if isinstance(step, MoveStep) and step.acceleration is not None and step.acceleration > limit:
+            given, most = np.rad2deg([step.acceleration, limit])
+            what = f"the leading axis is to accelerate by {given:.1f} deg/s^2; allowed: {most:.1f}"
+            out.append(at_step("verify.move_kinds", what, task, step))
+    return out
 
 
 _ZERO_WAY, _ZERO_TURN = 1e-8, 1e-9
@@ -128,41 +112,9 @@ def move_kinds(context: Context) -> Outcome:
     """Only moves whose path is known: MoveAbsJ, and MoveL with ConfL as the arm needs it; no \\Conc, no
     external axes but tracks and turntables. KRL: PTP, and LIN or SLIN; URScript: movej, no faster up than
     the axes may, and movel."""
-    issues = []
-    for task in context.job.tasks:
-        if task.text.language != "rapid":
-            if not outer_axes(task.arm, context.problem.cell.turntable):  # else verify.external_axes looks
-                issues += krl_moves.move_kinds(task)
-            issues += krl_moves.accelerations(task)
-            continue
-        wanted = "off" if task.arm.data.unnamed else "on"
-        state = "on"
-        stated = False
-        for step in task.steps:
-            if isinstance(step, SettingStep) and step.kind == "ConfL":
-                state, stated = step.switches[0], True
-            if not isinstance(step, MoveStep):
-                continue
-            if step.kind == "MoveJ":
-                issues.append(
-                    at_step("verify.move_kinds", "the path of MoveJ is not known; use MoveL", task, step)
-                )
-            for switch in step.switches:
-                if switch in REFUSED_OPTIONS:
-                    issues += [at_step("verify.move_kinds", REFUSED_OPTIONS[switch], task, step)]
-            used = np.abs(step.target.external - UNUSED_AXIS) > 1e3  # in single precision 9E9 is off by 512
-            known = isinstance(step.target, RobTarget | JointTarget)
-            known = known and not outer_axes(task.arm, context.problem.cell.turntable)
-            if known and used.any():
-                issues.append(at_step("verify.move_kinds", "the target moves an external axis", task, step))
-            if step.kind == "MoveL" and (state != wanted or not stated):
-                message = (
-                    f"ConfL is {state if stated else 'not stated'}; this arm needs "
-                    f"ConfL\\{wanted.capitalize()}"
-                )
-                issues.append(at_step("verify.move_kinds", message, task, step))
-                break
-    return Outcome(tuple(issues))
+    return Outcome(
+        tuple(i for task in context.job.tasks for i in checked("verify.move_kinds", context, task).issues)
+    )
 
 
 @rule("verify.zone_size")
@@ -171,13 +123,12 @@ def zone_size(context: Context) -> Outcome:
     goes along begins where that of the tool does, to 5 mm."""
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
-        if task.text.language == "krl":
-            found, over = krl_moves.corners(task, moves)
+        find_corners = of_task(task).corners
+        if find_corners is not None:
+            found, over = find_corners(task, moves)
             issues += found
             worst = max(worst, over)
             continue
-        if task.text.language == "trajectories":
-            continue  # no corner is rounded there
         ways = [straight_way(a, b) for a, b in itertools.pairwise(moves)]
         rides = any(axis.follow is not None for axis in outer_axes(task.arm, None))
         for i, move in enumerate(moves):
@@ -219,19 +170,15 @@ def zero_length(context: Context) -> Outcome:
         for group in [rows] if stage.synchronised else [[row] for row in rows]:
             for i in range(1, min((len(moves) for _, moves in group), default=0)):
                 still = [(task, moves[i]) for task, moves in group if _still(moves[i - 1], moves[i])]
-                if all(move.kind in trajectory_flow.BEGINS.values() for _, move in still):
+                if all(move.kind in of_task(task).begins for task, move in still):
                     continue
                 if len(still) == len(group):
                     task, move = still[0]
                     issues.append(at_step("verify.zero_length", "the move goes nowhere", task, move))
                     continue
-                what = f"the movel goes nowhere; {STAND} waits in place of it"
-                alone = (
-                    (task, move)
-                    for task, move in still
-                    if task.text.language == "urscript" and move.kind != STAND
-                )
-                issues += [at_step("verify.zero_length", what, task, move) for task, move in alone]
+                for task, move in still:
+                    what = of_task(task).stands_still(move)
+                    issues += [at_step("verify.zero_length", what, task, move)] if what else []
     return Outcome(tuple(issues))
 
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from planner.claims.claim import powers
 from planner.issues import Issue
-from planner.languages.rapid.reader.program_text import modules_of
 from planner.programs.job import controllers
 from planner.programs.stages import TaskText
 from planner.programs.steps import MessageStep, MoveStep, SignalStep, Step
 from planner.proof.context import Context
+from planner.proof.language_contribution import checked
 from planner.proof.rule import Outcome, at_step, rule
 
 
@@ -44,17 +44,7 @@ def signals(context: Context) -> Outcome:
                     faults.append(f"{first.name} switches a signal between the same synchronisation points")
                 issues += [at_step("verify.signals", fault, task, step) for fault in faults]
     for task in context.job.tasks:
-        issues += [
-            Issue(
-                "verify.signals",
-                f"{data.name} hides a signal of the controller",
-                file=task.name,
-                line=data.line,
-            )
-            for module in modules_of(task.text)
-            for data in module.data
-            if data.kind.startswith("signal")
-        ]
+        issues += checked("verify.signals", context, task).issues
     return Outcome(tuple(issues))
 
 

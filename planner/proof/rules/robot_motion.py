@@ -77,7 +77,7 @@ def continuity(context: Context) -> Outcome:
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
         edges = zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False)
-        if task.text.language == "trajectories":  # verify.start_posture has it begin at home
+        if task.text.is_trajectory:  # verify.start_posture has it begin at home
             edges = zip(moves[-1:], ("last",), strict=False)
         for move, word in edges:
             if not at_home(move, task.arm.data, task.arm.home):
@@ -207,7 +207,7 @@ def _rates(
             if share[i] > worst:
                 worst, where = float(share[i]), f"{arm} axis {joint + 1}"
             over |= share > 1.0
-        if task.text.language == "trajectories":  # samples may lie beside the peak of a short cubic
+        if task.text.is_trajectory:  # samples may lie beside the peak of a short cubic
             share, line = trajectory_peaks(task, word == "speed")
             if share > worst:
                 worst, where = share, f"{arm}, line {line}"
@@ -273,7 +273,7 @@ def tcp_speed(context: Context) -> Outcome:
     limit = context.problem.settings.tcp_speed
     for task in context.job.tasks:
         arm = task.arm.name
-        if task.text.language == "trajectories":
+        if task.text.is_trajectory:
             own = tool_speeds(context)[arm]
             k = int(np.argmax(own.world)) if len(own.world) else 0
             if len(own.world) and own.world[k] > worst:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 
 from planner.issues import Issue
-from planner.languages.krl.rules.moves import pair_times
 from planner.programs.stages import Stage, TaskText, sync_points
 from planner.programs.steps import (
     CallStep,
@@ -24,10 +24,13 @@ from planner.programs.steps import (
     single,
 )
 from planner.proof.context import Context
+from planner.proof.language_contribution import of_task
 from planner.proof.rule import Outcome, at_step, mm, rule
 
 _TIME_TOLERANCE = 1e-9
 """Times [s] of moves that run together differ by no more."""
+PAIR_TIME_SHARE = 0.01
+"""How much the times of two moves that run together may differ: speeds have few digits."""
 LARGEST_ID = 2**23
 """Whole numbers beyond are not exact in single precision."""
 LEAST_MOVE_TIME = 0.005
@@ -191,8 +194,8 @@ def move_time(context: Context) -> Outcome:
         if move.time is not None and move.time < LEAST_MOVE_TIME
     ]
     for a_task, a, b_task, b in _pairs(context):
-        if a_task.text.language == "krl" or b_task.text.language == "krl":
-            issues += pair_times(a_task, a, b_task, b)
+        if of_task(a_task).slowest or of_task(b_task).slowest:
+            issues += _times_apart(a_task, a, b_task, b)
         elif a.time is not None and b.time is not None:
             # a time of RAPID is held in single precision, in whatever language the other one is
             apart = abs(single(a.time) - single(b.time))
@@ -201,6 +204,18 @@ def move_time(context: Context) -> Outcome:
                 message = f"\\T:={b.time:g} runs with \\T:={a.time:g} of {a_task.name}"
                 issues.append(at_step("verify.move_time", message, b_task, b))
     return Outcome(tuple(issues), worst, _TIME_TOLERANCE, "s")
+
+
+def _times_apart(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep) -> Iterator[Issue]:
+    """Two moves that run together, at least one of which states speeds, and whose times differ."""
+    if a.time is None or b.time is None:
+        return
+    for task, move, other in ((a_task, a, b), (b_task, b, a)):
+        slowest = of_task(task).slowest
+        early = move.time < (1.0 - PAIR_TIME_SHARE) * other.time if move.time and other.time else False
+        if early and not (slowest and slowest(move)):
+            what = f"the move takes {move.time:.5f} s; the other arm's takes {other.time:.5f} s meanwhile"
+            yield at_step("verify.move_time", what, task, move)
 
 
 def _too_short(time: float) -> str:

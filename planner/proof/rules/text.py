@@ -2,11 +2,8 @@
 
 verify.syntax, declarations, pers_literal, names, line_length, module_size, decimals, files, digest.
 
-Changed targets are known by their digits; where a rule fails beside one, the issue names it as the
-likely cause. Programs are written with the same decimals throughout: 4 of mm and 8 of quaternions
-in RAPID, 4 of mm and 5 of degrees in KRL. ModPos puts down 2 decimals of mm and 6 digits of a
-quaternion (seen in backups of six cells); KSS puts down all digits of single precision, so that
-decimals vary with the size (seen in public programs).
+Changed targets are known by their digits, of which the language of a file knows. If a rule fails next to a
+changed target, the issue names it as the likely cause.
 """
 
 from __future__ import annotations
@@ -14,36 +11,20 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterable
-from pathlib import PurePosixPath
-from typing import NamedTuple
-from xml.etree import ElementTree as ET
+from typing import Final, NamedTuple
 
 from planner.issues import Issue, Severity
-from planner.languages.rapid.reader.program_text import modules_of
-from planner.languages.rapid.reader.syntax_tree import QUATERNION_TOLERANCE
 from planner.programs.job import task_names
 from planner.programs.stages import JobText, TaskText
 from planner.programs.steps import Fault, MoveStep
 from planner.programs.text import changed, strange
+from planner.proof import language_contribution
 from planner.proof.context import Context
+from planner.proof.language_contribution import checked, job_issues
 from planner.proof.rule import Outcome, rule, target
 
-_TRAJECTORY = ".jsonl"
-"""Ending of files of trajectories."""
-_RAPID_TARGET = re.compile(
-    r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]"
-)
-"""A target in RAPID: its position and its turn."""
-_KRL_TARGET = re.compile(r"\{X ([^,}]*),Y ([^,}]*),Z ([^,}]*),A ([^,}]*),B ([^,}]*),C ([^,}]*)")
-"""A target in KRL: its position and its turn."""
-_INLINE_FORM = re.compile(
-    r"[PFL]DAT_ACT|\$BWDSTART|#(?:PTP|CP)_(?:PARAMS|DAT)|\b(?:S?PTP|S?LIN)\s+X\w+"
-    r"|DECL\s+(?:FDAT|[PL]DAT)\b",
-    re.IGNORECASE,
-)
-"""What KUKA's inline forms leave in programs and data lists."""
-_MM, _DIGITS = 2, 6
-_KRL_MM, _KRL_DEG = 4, 5
+QUATERNION_TOLERANCE: Final = 1e-5
+"""How far the norm of a quaternion may be off 1."""
 _REWRITTEN_SHARE = 0.5
 """Where more of a task's targets than this share look changed, all were written like that."""
 _TARGETS_NAMED = 3
@@ -110,11 +91,9 @@ def with_pendant_cause(found: Marks, issue: Issue) -> Issue:
 
 
 def with_form_cause(issue: Issue) -> Issue:
-    """The issue about a line that an inline form has written with that as its likely cause."""
-    if _INLINE_FORM.search(issue.message) is None:
-        return issue
-    hint = "likely cause: changed on the pendant by an inline form; plan again"
-    return dataclasses.replace(issue, hint=hint)
+    """Return an issue about the text with its likely cause, if the language of its file knows it."""
+    cause = language_contribution.of_file(issue.file or "").likely_cause(issue.message)
+    return dataclasses.replace(issue, hint=f"likely cause: {cause}") if cause else issue
 
 
 def _causes(found: Marks, issue: Issue) -> list[Changed]:
@@ -140,36 +119,18 @@ def _causes(found: Marks, issue: Issue) -> list[Changed]:
 def _rows(file: str, text: str) -> dict[int, bool]:
     """Lines on which targets stand, and whether one of them looks changed."""
     out: dict[int, bool] = {}
-    krl = file.lower().endswith((".src", ".dat"))
     line, seen = 1, 0
-    for found in (_KRL_TARGET if krl else _RAPID_TARGET).finditer(text):
-        line, seen = line + text.count("\n", seen, found.start()), found.start()
-        before = text[text.rfind("\n", 0, seen) + 1 : seen]
-        if krl and re.match(r"\s*DECL\s+(?!E6POS)", before, re.IGNORECASE):
-            continue  # a frame or a load
-        out[line] = out.get(line, False) or (_krl(found) if krl else _rapid(found))
+    for place, is_changed in language_contribution.of_file(file).targets_in(text):
+        line, seen = line + text.count("\n", seen, place), place
+        out[line] = out.get(line, False) or is_changed
     return out
 
 
-def _rapid(found: re.Match[str]) -> bool:
-    place, turn = (found.group(group).split(",") for group in (1, 2))
-    return all(_decimals(n) <= _MM for n in place) and all(_digits(n) <= _DIGITS for n in turn)
-
-
-def _krl(found: re.Match[str]) -> bool:
-    place, angles = [_decimals(n) for n in found.groups()[:3]], [_decimals(n) for n in found.groups()[3:]]
-    longer = max(place) > _KRL_MM or max(angles) > _KRL_DEG
-    return longer or (max(place) < _KRL_MM and max(angles) < _KRL_DEG)
-
-
-def _decimals(number: str) -> int:
+def decimals_of(number: str) -> int:
+    """Return the number of decimals of a number, without its exponent."""
     mantissa, _, exponent = number.strip().upper().partition("E")
     shift = int(exponent) if re.fullmatch(r"[+-]?\d{1,3}", exponent) else 0
     return max(len(mantissa.partition(".")[2]) - shift, 0)
-
-
-def _digits(number: str) -> int:
-    return len(number.strip().upper().partition("E")[0].lstrip("+-0.").replace(".", ""))
 
 
 def _stands(task: TaskText, step: MoveStep, where: dict[str, str]) -> tuple[str, int]:
@@ -226,13 +187,7 @@ def persistents(context: Context) -> Outcome:
     """PERS data are given literals, and are not shared between tasks, which would let one change another."""
     faults = [f for f in context.job.faults if f.kind in _PERS]
     outcome = _faults(context, "verify.pers_literal", faults, "give PERS data a literal")
-    shared = [
-        Issue("verify.pers_literal", f"PERS {data.name} is shared with the other tasks", file=task.name)
-        for task in context.job.tasks
-        for module in modules_of(task.text)
-        for data in module.data
-        if data.storage == "PERS" and data.kind != "tasks"
-    ]
+    shared = [i for task in context.job.tasks for i in checked("verify.pers_literal", context, task).issues]
     return dataclasses.replace(outcome, issues=(*outcome.issues, *shared))
 
 
@@ -276,21 +231,9 @@ def decimals(context: Context) -> Outcome:
         for f in context.job.faults
         if f.kind in _NUMBERS
     ]
-    worst = 0.0
-    for task in context.job.tasks:
-        if task.text.language != "rapid":
-            continue  # angles are of no length
-        for step in task.steps:
-            if isinstance(step, MoveStep) and not step.by_joints:
-                off = abs(float((step.target.quaternion**2).sum()) ** 0.5 - 1.0)  # type: ignore[union-attr]
-                worst = max(worst, off)
-                if off > QUATERNION_TOLERANCE:
-                    message = (
-                        f"the quaternion's norm is off 1 by {off:.2g}; allowed: {QUATERNION_TOLERANCE:g}"
-                    )
-                    issues.append(
-                        Issue("verify.decimals", message, file=f"{task.name}/{step.module}", line=step.line)
-                    )
+    found = [checked("verify.decimals", context, task) for task in context.job.tasks]
+    issues += [issue for one in found for issue in one.issues]
+    worst = max((one.worst or 0.0 for one in found), default=0.0)
     return Outcome(tuple(issues), worst, QUATERNION_TOLERANCE, "", summary(context.job))
 
 
@@ -304,88 +247,30 @@ def files(context: Context) -> Outcome:
         for f in context.job.faults
         if f.kind in _FILES
     ]
-    faulty = any(f.file.endswith(_TRAJECTORY) for f in context.job.faults)  # there, but not read
-    job = context.job
+    faulty = any(
+        language_contribution.of_file(f.file).one_file for f in context.job.faults
+    )  # there, but not read
     names = task_names(context.problem)
-    read = {task.name for task in job.tasks}
+    read = {task.name for task in context.job.tasks}
     used = {arm for operation in context.problem.operations for arm in operation.arms}
     for number, arm in enumerate(context.problem.cell.arms):
         name = names[number] if number < len(names) else f"task {number + 1}"
-        driven = arm.data.family == "ROS"
-        if arm.name in used and name not in read and not (driven and faulty):
-            message = f"arm {arm.name} has no module for task {name}"
-            message = f"no file of trajectories moves arm {arm.name}" if driven else message
+        language = language_contribution.of_arm(arm)
+        if arm.name in used and name not in read and not (language.one_file and faulty):
+            message = language.missing_file.format(arm=arm.name, task=name)
             issues.append(Issue("verify.files", message, arm=arm.name, hint="copy all files of the programs"))
     issues += [
         Issue("verify.files", f"{path} belongs to none of the tasks", file=path, hint="take it away")
-        for path in job.strays
+        for path in context.job.strays
     ]
-    for task in job.tasks:
-        for module in modules_of(task.text):
-            if PurePosixPath(module.file).stem.lower() != module.name.lower():
-                what = f"{module.file} holds the module {module.name}; the list of modules goes by file names"
-                hint = f"rename the file {module.name}{PurePosixPath(module.file).suffix}"
-                issues.append(Issue("verify.files", what, file=module.file, hint=hint))
-            issues += _ending(context, module.file)
-        lists = [path for path in job.lists if _folder(path) in {_folder(file) for file in task.files}]
-        if len(lists) > 1:
-            what = f"{task.name} has {len(lists)} program lists, {', '.join(lists)}"
-            issues.append(Issue("verify.files", what, file=lists[1], hint="take all but one away"))
-    for path, text in job.lists.items():
-        issues += _list(context, path, text)
-    return Outcome(tuple(issues))
+    for task in context.job.tasks:
+        issues += checked("verify.files", context, task).issues
+    return Outcome((*issues, *job_issues("verify.files", context)))
 
 
 def _named(fault: Fault) -> str:
-    several = fault.file.endswith(_TRAJECTORY)
+    several = language_contribution.of_file(fault.file).one_file
     return "take all but one away" if several else "rename the file as its program is"
-
-
-def _ending(context: Context, file: str) -> list[Issue]:
-    """RobotWare 6 loads ``.mod`` alone, RobotWare 7 ``.modx``."""
-    version = context.problem.cell.controller.robotware
-    allowed = {6: ".mod", 7: ".modx"}[version]
-    if PurePosixPath(file).suffix == allowed:
-        return []
-    what = f"{file} is no module of RobotWare {version}, which loads {allowed}"
-    hint = "plan again with the controller's robotware; a renamed module is no converted one"
-    return [Issue("verify.files", what, file=file, hint=hint)]
-
-
-def _list(context: Context, path: str, text: str) -> list[Issue]:
-    if "<!" in text:
-        return [_more(path)]
-    bare = re.search(r"(?<!\r)\n|\r(?!\n)", text)
-    if bare is not None or not text.endswith("\r\n"):
-        line = text.count("\n", 0, bare.start() if bare else len(text)) + 1
-        what = "the program list has other line ends than CR LF; controllers do not load it"
-        return [Issue("verify.files", what, file=path, line=line, hint="copy the file byte by byte")]
-    try:
-        root = ET.fromstring(text.encode("latin-1", "replace"))
-    except (ET.ParseError, LookupError, ValueError) as wrong:
-        what = f"the program list cannot be read: {wrong}"
-        return [Issue("verify.files", what, file=path, hint="copy the file byte by byte")]
-    if root.tag != "Program" or any(item.tag != "Module" or len(item) for item in root):
-        return [_more(path)]
-    listed = sorted((item.text or "").strip().lower() for item in root)
-    for task in context.job.tasks:
-        if any(_folder(file) == _folder(path) for file in task.files):
-            there = sorted(PurePosixPath(module.file).name.lower() for module in modules_of(task.text))
-            if listed != there:
-                message = f"the list names {', '.join(listed)}; the task's modules are {', '.join(there)}"
-                return [Issue("verify.files", message, file=path, hint="list every module once")]
-            return []
-    what = "the program list stands beside no task's modules"
-    return [Issue("verify.files", what, file=path, hint="take it away, or copy the modules beside it")]
-
-
-def _more(path: str) -> Issue:
-    what = "the program list holds more than modules"
-    return Issue("verify.files", what, file=path, hint="copy the file byte by byte")
-
-
-def _folder(path: str) -> str:
-    return path.rpartition("/")[0]
 
 
 @rule("verify.digest")

@@ -20,6 +20,7 @@ from planner.programs.stages import Stage, TaskText, sync_points
 from planner.programs.steps import ChoiceStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context
+from planner.proof.language_contribution import of_task
 from planner.proof.replay.moves import between, dwell_time
 from planner.proof.rule import Outcome, at_node, at_step, mm, rule
 
@@ -308,7 +309,7 @@ def _answers(context: Context) -> Iterator[Issue]:
     for task, other in (tasks, tasks[::-1]):
         mine, theirs = readings[task.name], readings[other.name]
         asks = _intervals(other, theirs, _asks)
-        midway = asks.copy() if other.text.language == "urscript" else set[int]()
+        midway = asks.copy() if of_task(other).restarts is not None else set[int]()
         asks |= _intervals(other, theirs, _moves) - _intervals(task, mine, _moves)
         travels = _travels(context, other, theirs)
         most = max(handshake.patience, handshake.timeout) + 1.0 + _busy(other) + sum(travels.values())

@@ -13,8 +13,8 @@ import pytest
 from planner.geometry.arrays import from_rpy
 from planner.languages.urscript.writer import program, syntax
 from planner.languages.writing import write
-from planner.proof import verdict
 from planner.proof.prove import Prover
+from planner.proof.same_program import same_program
 from tests import urdf_text
 from tests.languages.urscript import ur_job
 from tests.languages.urscript.ur_mutants import FILE, MUTATORS
@@ -65,9 +65,9 @@ def test_comments_and_white_space_change_nothing():
     other = {FILE: text}
     assert text != programs[FILE]
     assert prover().prove(other).ok
-    assert not verdict.same_program(programs, {FILE: text.replace("t=0.72023", "t=0.72024", 1)})
+    assert not same_program(programs, {FILE: text.replace("t=0.72023", "t=0.72024", 1)})
     bare = {FILE: re.sub(r"\r\n#.*", "", programs[FILE])}
-    assert verdict.same_program(programs, bare)
+    assert same_program(programs, bare)
 
 
 def turned():

@@ -43,6 +43,5 @@ READER: Final = Reader(
     read=_read,
     read_partly=read_partly,
     move_pattern=MOVE_PATTERN,
-    comment=";",
     known_moves=frozenset({"PTP", "LIN", "SLIN"}),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,10 +13,11 @@ from planner.programs.stages import TaskText
 from planner.programs.steps import MOST_OUTER, JointTarget, MoveStep, PassedTarget, RobTarget, StatusTarget
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
-from planner.proof.kinematics.external_axes import outer_values, slid
+from planner.proof.kinematics.external_axes import outer_axes, outer_values, slid
 from planner.proof.kinematics.inverse_kinematics import select_by_status
 from planner.proof.replay.moves import flange_at, solutions
 from planner.proof.rule import Outcome, at_step, mm, rule
+from planner.proof.rules.moves import accelerations
 
 _SAME_PLACE = 1e-5
 """A move whose TCP goes no farther [m] turns only."""
@@ -29,14 +30,14 @@ _CREEP_SPEED = 0.11e-3
 low."""
 _CREEP_TURN_RATE = np.deg2rad(0.15)
 """Turns slower than this rate [rad/s], and than the next turn, are as fast as KRL allows."""
-PAIR_TIME_SHARE = 0.01
-"""How much the times of two moves that run together may differ: speeds have few digits."""
 _OTHER_SOLUTION = np.deg2rad(0.01)
 """Joints that differ by more [rad] are another solution."""
 
 
-def move_kinds(task: TaskText) -> list[Issue]:
-    """Moves of a task without external axes that use one."""
+def move_kinds(context: Context, task: TaskText) -> Outcome:
+    """Moves of a task without external axes that use one, and accelerations (verify.move_kinds)."""
+    if outer_axes(task.arm, context.problem.cell.turntable):  # then verify.external_axes looks
+        return Outcome(tuple(accelerations(task)))
     out = []
     for step in task.steps:
         if not isinstance(step, MoveStep):
@@ -45,30 +46,22 @@ def move_kinds(task: TaskText) -> list[Issue]:
         if stated[stated < MOST_OUTER].max(initial=0.0) > 0.0:
             what = "the target moves an external axis; E1 to E6 are 0 here"
             out.append(at_step("verify.move_kinds", what, task, step))
-    return out
+    return Outcome((*out, *accelerations(task)))
 
 
-def accelerations(task: TaskText) -> list[Issue]:
-    """Moves by joints that ask for more of their leading axis than every axis has."""
-    limit, out = float(np.min(task.arm.data.acceleration)), []
-    for step in task.steps:
-        if isinstance(step, MoveStep) and step.acceleration is not None and step.acceleration > limit:
-            given, most = np.rad2deg([step.acceleration, limit])
-            what = f"the leading axis is to accelerate by {given:.1f} deg/s^2; allowed: {most:.1f}"
-            out.append(at_step("verify.move_kinds", what, task, step))
-    return out
+def hidden(context: Context, task: TaskText) -> Outcome:
+    """Programs that nothing calls (verify.hidden)."""
+    programs = task.text.programs if isinstance(task.text, KrlText) else {}
+    return Outcome(
+        tuple(
+            Issue("verify.hidden", f"{program.name}() is never called", arm=task.arm.name, file=program.file)
+            for name, program in programs.items()
+            if ("", name) not in task.called
+        )
+    )
 
 
-def hidden(task: TaskText) -> list[Issue]:
-    """Programs that nothing calls."""
-    return [
-        Issue("verify.hidden", f"{program.name}() is never called", arm=task.arm.name, file=program.file)
-        for name, program in (task.text.programs.items() if isinstance(task.text, KrlText) else ())
-        if ("", name) not in task.called
-    ]
-
-
-def corners(task: TaskText, moves: tuple[MoveStep, ...]) -> tuple[list[Issue], float]:
+def corners(task: TaskText, moves: Sequence[MoveStep]) -> tuple[list[Issue], float]:
     """Corners that take more than half of a move beside them, by way or, where the TCP stands, by angle; and
     the largest size over that [mm]."""
     out, worst = [], 0.0
@@ -107,18 +100,7 @@ def _apart(a: MoveStep, b: MoveStep) -> tuple[float, float] | None:
     return way, 2.0 * float(np.arccos(min(cosine, 1.0)))
 
 
-def pair_times(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep) -> Iterator[Issue]:
-    """Two moves that run together, one at least by KRL, and whose times differ."""
-    if a.time is None or b.time is None:
-        return
-    for task, move, other in ((a_task, a, b), (b_task, b, a)):
-        early = move.time < (1.0 - PAIR_TIME_SHARE) * other.time if move.time and other.time else False
-        if early and not (isinstance(task.text, KrlText) and _creeps(move)):
-            what = f"the move takes {move.time:.5f} s; the other arm's takes {other.time:.5f} s meanwhile"
-            yield at_step("verify.move_time", what, task, move)
-
-
-def _creeps(move: MoveStep) -> bool:
+def creeps(move: MoveStep) -> bool:
     """Whether a move is as slow as KRL can state it."""
     return move.speed.tcp <= _CREEP_SPEED and move.speed.turn <= np.sqrt(2.0) * _CREEP_TURN_RATE
 

@@ -12,6 +12,11 @@ def text_lines(content: str) -> list[str]:
     return [line for line in lines if line and not line.startswith("!")]
 
 
+def same_text(first: str, second: str) -> bool:
+    """Return whether two texts differ in comments and white space at most."""
+    return text_lines(first) == text_lines(second) or text_words(first) == text_words(second)
+
+
 def text_words(content: str) -> list[str]:
     cursor, out = Cursor(content), []
     while cursor.token.kind not in ("end", "bad"):

@@ -49,6 +49,5 @@ READER: Final = Reader(
     lists=(".pgf",),
     read_partly=read_partly,
     move_pattern=MOVE_PATTERN,
-    comment="!",
     known_moves=frozenset({"MoveAbsJ", "MoveL"}),
 )

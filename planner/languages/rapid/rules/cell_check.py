@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import PurePosixPath
 
+from planner.issues import Issue
 from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.reader.configuration import rapid_words
 from planner.languages.rapid.reader.flow import CHECK_MODULE
@@ -16,6 +17,8 @@ from planner.programs.stages import TaskText
 from planner.programs.steps import BASE_FRAME
 from planner.proof.context import Context
 from planner.proof.kinematics.external_axes import OuterAxis, outer_axes
+from planner.proof.rule import Outcome
+from planner.proof.rules.controller_files import CELL_CHECK
 from planner.proof.rules.external_axes import OFF_HOME
 
 _BEFORE_CALL = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
@@ -28,7 +31,16 @@ _DISTANCE, _TURN = 0.1, 0.02
 """How far the controller's frames may be off the plan's [mm], [degrees]."""
 
 
-def check_faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
+def cell_check(context: Context, task: TaskText) -> Outcome:
+    """Faults of the comparison of the cell with the plan (verify.cell_check)."""
+    hint = "plan again; copy all modules"
+    found = _check_faults(context, task)
+    return Outcome(
+        tuple(Issue(CELL_CHECK, what, arm=task.arm.name, file=file, hint=hint) for file, what in found)
+    )
+
+
+def _check_faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
     own = [path for path in task.files if CHECK_MODULE.match(PurePosixPath(path).name)]
     if len(own) != 1:
         return [(task.name, f"{len(own)} modules compare the cell with the plan; wanted: one, TandemCheck_n")]

@@ -1,4 +1,4 @@
-"""Rules on motion settings, error handlers and UNDO sections of RAPID programs."""
+"""Rules on error handlers, UNDO sections and attributes of modules of RAPID programs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from pathlib import PurePosixPath
 
 from planner.claims.claim import powers as claimed_powers
 from planner.issues import Issue
-from planner.languages.krl.rules import moves
 from planner.languages.rapid.reader.program_text import RapidText, modules_of
 from planner.languages.rapid.reader.syntax_tree import Module
 from planner.programs.stages import TaskText, sync_points
@@ -21,7 +20,7 @@ from planner.programs.steps import (
     WaitStep,
 )
 from planner.proof.context import Context
-from planner.proof.rule import Outcome, at_step, rule
+from planner.proof.rule import Outcome, rule
 
 UNDO_RULE = "verify.undo"
 """Code of the rule about UNDO handlers."""
@@ -86,13 +85,6 @@ def _faults(steps: tuple[Step, ...] | None, signals: list[str], blocks: bool) ->
     return faults
 
 
-REFUSED_OPTIONS = {
-    "conc": "\\Conc lets logic run ahead of the motion",
-    "z": "\\Z gives the corner another zone than the one that the move names",
-    "tload": "\\TLoad counts with another load than the tool's",
-    "corr": "\\Corr lets sensors change the path",
-}
-"""Options of moves that are refused, and why."""
 _REFUSED_ATTRIBUTES = {
     "sysmodule": "it stays in the controller when the program is taken out, beside the next one",
     "noview": "nobody can read it at the controller",
@@ -101,18 +93,6 @@ _REFUSED_ATTRIBUTES = {
     "readonly": "nobody can correct it at the controller",
 }
 """Attributes of modules that are refused, and why."""
-_PATH_INSTRUCTIONS = (
-    "StopMove",
-    "StartMove",
-    "ClearPath",
-    "StorePath",
-    "RestoPath",
-    "Stop",
-    "RAISE",
-    "RETRY",
-    "TRYNEXT",
-)
-"""Instructions that stop, keep or clear the path."""
 
 
 @rule("verify.error_handler")
@@ -183,76 +163,26 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> 
     return faults
 
 
-@rule("verify.motion_settings")
-def motion_settings(context: Context) -> Outcome:
-    """Nothing makes the moves slower than their times say (AccSet or VelSet below 100 %), lets them leave
-    their path (SingArea other than Off) or drops them (ClearPath and others)."""
-    slow = "AccSet and VelSet other than 100 % make the moves other than their times say"
+def hidden(context: Context, task: TaskText) -> Outcome:
+    """Attributes of modules, and procedures that nothing calls (verify.hidden)."""
     issues = []
-    for task in context.job.tasks:
-        # a program that meets another controller's may let its running wire fall before anything moves
-        first = next((step for step in task.steps if isinstance(step, MoveStep)), None)
-        moved = context.job.readings is None
-        for step in task.steps:
-            moved |= step is first
-            if isinstance(step, WaitStep) and (step.seconds or 0.0) < 0.0:
-                issues.append(at_step("verify.motion_settings", "a wait of less than nothing", task, step))
-            if not isinstance(step, SettingStep):
-                continue
-            full = all(value == 100.0 for value in step.values)
-            if (step.kind == "AccSet" and not full) or (step.kind == "VelSet" and _limits(step)):
-                issues.append(at_step("verify.motion_settings", slow, task, step))
-            if step.kind == "SingArea" and step.switches != ("off",):
-                what = "SingArea lets the tool leave its path near singular postures"
-                issues.append(at_step("verify.motion_settings", what, task, step, "SingArea\\Off"))
-            if step.kind in _PATH_INSTRUCTIONS and (moved or step.kind != "Stop" or step.switches):
-                what = f"{step.kind} on the way: the moves are no longer those of the text"
-                issues.append(at_step("verify.motion_settings", what, task, step))
-    return Outcome(tuple(issues))
-
-
-def _limits(step: SettingStep) -> bool:
-    """Whether a VelSet (share in %, highest speed in mm/s) holds any move back."""
-    return step.values[0] != 100.0 or step.values[1] is None or step.values[1] < 5000.0
-
-
-@rule("verify.hidden")
-def hidden(context: Context) -> Outcome:
-    """Nothing runs but the straight way: no procedure is left over, no module loaded, UNDO switches off; and
-    nothing hides: modules have no attributes."""
-    issues = []
-    for task in context.job.tasks:
-        issues += moves.hidden(task)
-        for module in modules_of(task.text):
-            issues += [
-                Issue(
-                    "verify.hidden",
-                    f"module {module.name} is {word.upper()}: {_REFUSED_ATTRIBUTES[word]}",
-                    arm=task.arm.name,
-                    file=module.file,
-                    hint="take the attribute out",
-                )
-                for word in (*module.attributes, *_system(module))
-            ]
-            for procedure in module.procedures:
-                if (module.name, procedure.name) not in task.called:
-                    what = f"{module.name}:{procedure.name} is never called"
-                    place = f"{task.name}/{module.name}"
-                    issues.append(
-                        Issue("verify.hidden", what, arm=task.arm.name, file=place, line=procedure.line)
-                    )
-        steps = [*task.steps, *(s for block in task.handlers.values() for s in block)]
+    for module in modules_of(task.text):
         issues += [
-            at_step("verify.hidden", f"{step.kind} of a module: what it holds is not proven", task, step)
-            for step in steps
-            if isinstance(step, LoadStep)
+            Issue(
+                "verify.hidden",
+                f"module {module.name} is {word.upper()}: {_REFUSED_ATTRIBUTES[word]}",
+                arm=task.arm.name,
+                file=module.file,
+                hint="take the attribute out",
+            )
+            for word in (*module.attributes, *_system(module))
         ]
-        for block in task.undos.values():
-            issues += [
-                at_step("verify.hidden", "UNDO does more than switch off and leave the block", task, step)
-                for step in block
-                if not _undoes(step)
-            ]
+        for procedure in module.procedures:
+            if (module.name, procedure.name) not in task.called:
+                what, place = f"{module.name}:{procedure.name} is never called", f"{task.name}/{module.name}"
+                issues.append(
+                    Issue("verify.hidden", what, arm=task.arm.name, file=place, line=procedure.line)
+                )
     return Outcome(tuple(issues))
 
 
@@ -261,9 +191,18 @@ def _system(module: Module) -> tuple[str, ...]:
     return ("sysmodule",) if PurePosixPath(module.file).suffix.lower().startswith(".sys") else ()
 
 
-def _undoes(step: Step) -> bool:
-    if isinstance(step, SignalStep):
-        return not step.value and not step.delay
-    if isinstance(step, SyncStep):
-        return step.kind == "SyncMoveUndo"
-    return isinstance(step, MessageStep) and not step.confirm
+def hidden_signals(context: Context, task: TaskText) -> Outcome:
+    """Data that hide signals of the controller (verify.signals)."""
+    return Outcome(
+        tuple(
+            Issue(
+                "verify.signals",
+                f"{data.name} hides a signal of the controller",
+                file=task.name,
+                line=data.line,
+            )
+            for module in modules_of(task.text)
+            for data in module.data
+            if data.kind.startswith("signal")
+        )
+    )

@@ -21,6 +21,7 @@ class TrajectoryText(ProgramText):
     """
 
     language: ClassVar[str] = "trajectories"
+    is_trajectory: ClassVar[bool] = True
 
     program: Program
     base: FloatArray

@@ -45,6 +45,5 @@ def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
 READER: Final = Reader(
     read=_read,
     move_pattern=_MOVE_PATTERN,
-    comment="#",
     known_moves=frozenset({"movej", "movel"}),
 )

@@ -10,12 +10,19 @@ from planner.languages.urscript.reader.reader import pose
 from planner.languages.urscript.reader.syntax_tree import CHECK_POINT, LOOK_ERROR
 from planner.programs.stages import TaskText
 from planner.programs.steps import SettingStep, Step
+from planner.proof.context import Context
 from planner.proof.kinematics import arm_model
-from planner.proof.rule import mm
+from planner.proof.rule import Outcome, at_step, mm
+from planner.proof.rules.controller_files import CELL_CHECK
 from planner.proof.rules.setups_and_frames import FRAME_POSITION, HOME_ERROR
 
 
-def robot_check_faults(task: TaskText) -> list[tuple[Step | None, str]]:
+def robot_check(context: Context, task: TaskText) -> Outcome:
+    """Faults of the comparison of the arm with the planned one (verify.cell_check)."""
+    return Outcome(tuple(at_step(CELL_CHECK, fault, task, step) for step, fault in _faults(task)))
+
+
+def _faults(task: TaskText) -> list[tuple[Step | None, str]]:
     """What is wrong with the look of a URScript program at its arm, step by step."""
     steps = [s for s in task.steps if isinstance(s, SettingStep) and s.kind == LOOK_KIND]
     if len(steps) != 1:

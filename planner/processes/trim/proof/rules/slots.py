@@ -36,6 +36,7 @@ from planner.programs.stages import TaskText
 from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context
+from planner.proof.language_contribution import of_task
 from planner.proof.part_files import UnreadError
 from planner.proof.rule import FEED_SLACK, Outcome, at_sample, at_step, mm, rule
 from planner.tooling import Knife, Mill, Torch
@@ -473,12 +474,12 @@ def _unwaited(task: TaskText, step: Step, claim: TrimsSheet) -> Issue:
 
 
 def _guarded(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
-    """Whether a URScript program, which goes on in the slot behind a pause, watches its torch wherever that
+    """Whether a program that goes on in the slot behind a pause watches its torch wherever that
     moves: output and input, and that it does not stand for longer than a torch may take, but for as long as
     it does. ``others`` as :func:`_waits` has it."""
     claim = work.claim
     for task in context.job.tasks:
-        if task.text.language != "urscript" or task.arm.name != claim.arm:
+        if not of_task(task).watches_torch or task.arm.name != claim.arm:
             continue
         lit: Step | None = None
         guard: GuardStep | None = None

@@ -1,13 +1,39 @@
-"""Power at stops of KRL programs."""
+"""The files of KUKA controllers: variables, submit interpreter and IR_STOPM."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from planner.languages.krl.reader.lines import krl_lines
 from planner.problem import Controller
+from planner.proof.language_contribution import ControllerPower
 
 
-def krl_files(
+def controller_files(power: ControllerPower) -> list[str]:
+    """Return the faults of the files of a KUKA controller."""
+    controller, arm, partner = power.context.problem.cell.controller, power.tasks[0].arm.name, power.partner
+    runs = "$PRO_ACT AND $PERI_RDY"
+    watched, known = (partner.watched(runs), [partner.seen]) if partner else ([], [])
+    runs += f" AND {partner.input}" if partner else ""
+    flags, submit, stopped = _power_files(controller, arm, power.signals, power.burning, runs)
+    declared = [f"DECL BOOL {name}=FALSE" for name in [*flags, *known]]
+    wanted = {"config_user.dat": declared, "sps_user.sub": [*watched, *submit]}
+    if power.signals:
+        wanted["ir_stopm_user.src"] = stopped
+    faults = power.misnamed(tuple(wanted))
+    if faults:
+        return faults
+    for name, lines in wanted.items():
+        got, want = krl_lines(power.files[name]), krl_lines("\n".join(lines))
+        if got != want:
+            at = next((i for i, (g, w) in enumerate(zip(got, want, strict=False)) if g != w), None)
+            place = min(len(got), len(want)) if at is None else at
+            here, there = (rows[place] if place < len(rows) else "the end" for rows in (got, want))
+            faults.append(f"{name} does not do what it is to: {here!r} stands where {there!r} is to be")
+    return faults
+
+
+def _power_files(
     controller: Controller, arm: str, signals: Sequence[str], lit: frozenset[str], runs: str
 ) -> tuple[list[str], list[str], list[str]]:
     """Of a KUKA controller the variables that are declared, the lines of the submit interpreter, and those of

@@ -1,0 +1,51 @@
+"""What URScript contributes to the proof."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from planner.claims import sentences
+from planner.languages.urscript.reader.syntax_tree import STAND
+from planner.languages.urscript.reader.words import without_comments
+from planner.languages.urscript.rules import handshake
+from planner.languages.urscript.rules.robot_check import robot_check
+from planner.languages.urscript.sentences import UR_CALLED, UR_EARLIER, UR_START_PARTNER
+from planner.programs.stages import TaskText
+from planner.programs.steps import MoveStep
+from planner.proof.context import Context
+from planner.proof.language_contribution import ProofOfLanguage, StartSentences
+from planner.proof.rule import Outcome
+from planner.proof.rules.moves import accelerations, axis_shares
+
+
+def _same_text(first: str, second: str) -> bool:
+    return without_comments(first) == without_comments(second)
+
+
+def _move_kinds(context: Context, task: TaskText) -> Outcome:
+    return Outcome(tuple(accelerations(task)))
+
+
+def _stands_still(move: MoveStep) -> str:
+    return "" if move.kind == STAND else f"the movel goes nowhere; {STAND} waits in place of it"
+
+
+PROOF: Final = ProofOfLanguage(
+    checks={
+        "verify.cell_check": robot_check,
+        "verify.move_kinds": _move_kinds,
+        "verify.unknown_start": axis_shares,
+    },
+    job_checks={"verify.handshake": handshake.handshake},
+    same_text=_same_text,
+    start=StartSentences(
+        ready=sentences.KRL_READY,
+        clear=sentences.KRL_CLEAR,
+        leader_earlier=UR_EARLIER,
+        follower_earlier=UR_CALLED,
+        start_partner=UR_START_PARTNER,
+    ),
+    stands_still=_stands_still,
+    watches_torch=True,
+    restarts=handshake.restarts,
+)
