@@ -20,7 +20,7 @@ from planner.processes.hotwire.plan import operation
 from planner.processes.milling.plan import operation as milling_operation
 from planner.processes.poses.plan import job
 from planner.processes.trim.plan import operation as trim_operation
-from planner.proof import prove
+from planner.proof import rule_table
 from planner.reading import (
     axes,
     cell,
@@ -157,7 +157,7 @@ def fields() -> str:
 
 def rules() -> str:
     """The table of the proof's rules."""
-    rows = [f"| `{code}` | {title} |" for code, title in prove.RULE_TITLES.items()]
+    rows = [f"| `{code}` | {rule.title} |" for code, rule in rule_table.built_in().items()]
     return "\n".join(["| rule | what it asks |", "|---|---|", *rows, ""])
 
 

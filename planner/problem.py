@@ -441,7 +441,7 @@ class Controller:
     interlock: Interlock = dataclasses.field(default_factory=Interlock)
     robots: tuple[str, ...] = ()
     options: tuple[str, ...] | None = None
-    language: Literal["own", "ros"] = "own"
+    language: str = "own"
     joint_prefix: Mapping[str, str] = dataclasses.field(default_factory=dict)
     path_tolerance: float = 2.0 * DEG
     goal_tolerance: float = 0.2 * DEG

@@ -19,8 +19,9 @@ from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.geometry.units import DEG
 from planner.issues import Issue, TandemError
 
-Family = Literal["ABB", "KUKA", "UR", "generic", "ROS"]
-"""Whose controller an arm has, which is what its programs are written for."""
+Family = str
+"""Whose controller an arm has, which is what its programs are written for: "ABB", "KUKA", "UR", "ROS",
+"generic", or a family of an installed language."""
 DataKind = Literal["urdf", "problems"]
 
 JOINTS: Final = tuple(f"joint_{number}" for number in range(1, 7))

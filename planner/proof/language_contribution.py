@@ -19,6 +19,7 @@ from planner.claims.sentences import Sentence
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Problem
 from planner.programs.handshake.automata import Wiring
+from planner.programs.language import language_of
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep, SettingStep
 from planner.programs.text import Partner
@@ -111,7 +112,6 @@ class ProofOfLanguage:
             a person or a controller wrote.
         likely_cause: Likely cause of a fault of the text by its message, "" if nothing is known.
         start: What programs tell and ask before anything moves.
-        one_file: Whether one file holds the tasks of all arms.
         missing_file: Message about an arm without program; it may name {arm} and {task}.
         external_axes: How programs state and look at external axes.
         controller_files: Faults of the files of a controller, None if it takes no files.
@@ -133,7 +133,6 @@ class ProofOfLanguage:
     targets_in: Callable[[str], Iterator[tuple[int, bool]]] = lambda text: iter(())
     likely_cause: Callable[[str], str] = lambda message: ""
     start: StartSentences = StartSentences()
-    one_file: bool = False
     missing_file: str = "arm {arm} has no module for task {task}"
     external_axes: ExternalAxes = ExternalAxes()
     controller_files: Callable[[ControllerPower], list[str]] | None = None
@@ -154,23 +153,24 @@ def _load(reference: Reference | None) -> ProofOfLanguage:
     return _NOTHING if reference is None else plugins.load(reference, ProofOfLanguage)
 
 
+def _of(language: Language | None) -> ProofOfLanguage:
+    return _NOTHING if language is None else _load(language.proof)
+
+
 def of_task(task: TaskText) -> ProofOfLanguage:
     """Return the contribution of the language of a task."""
-    language = plugins.usable(Language).get(task.text.language)
-    return _NOTHING if language is None else _load(language.proof)
+    return _of(plugins.usable(Language).get(task.text.language))
 
 
 def of_file(path: str) -> ProofOfLanguage:
     """Return the contribution of the language that a file has by the ending of its name."""
     ending = PurePosixPath(path).suffix.lower()
-    found = (one for one in plugins.usable(Language).values() if ending in one.endings)
-    return next((_load(one.proof) for one in found), _NOTHING)
+    return _of(next((one for one in plugins.usable(Language).values() if ending in one.endings), None))
 
 
 def of_arm(arm: Arm) -> ProofOfLanguage:
     """Return the contribution of the language that the controller of an arm reads."""
-    found = (one for one in plugins.usable(Language).values() if arm.data.family in one.families)
-    return next((_load(one.proof) for one in found), _NOTHING)
+    return _of(language_of(arm))
 
 
 def checked(code: str, context: Context, task: TaskText) -> Outcome:

@@ -20,6 +20,8 @@ from planner.reading.controller import ControllerFile, controllers
 from planner.reading.materials import WiresFile, wires_at_hand
 from planner.reading.robot_file import OwnRobotFile, Posture, posture_fault, robot_of
 from planner.reading.strict_yaml import Angle, Choice, FileName, Name, Positive, Strict, Unit, Vector
+from planner.runtime import plugins
+from planner.runtime.plugins import Language
 from planner.tooling import (
     BOW_SPAN,
     BOW_THROAT,
@@ -435,8 +437,9 @@ def build(spec: CellFile, folder: Path) -> Cell:
         if sag is not None and stiffness is None:
             raise TandemError(_no_stiffness(arm, number))
         made = Arm(arm.name, data.name, arm.base.matrix(), mounted, home, arm.base_auto, stiffness, sag)
-        if spec.controller.language == "ros":
-            made = dataclasses.replace(made, given=_driven(data, arm, number))
+        if spec.controller.language != "own":
+            family = _family(spec.controller.language, arm, number)
+            made = dataclasses.replace(made, given=dataclasses.replace(data, family=family))
         elif data.file is not None:
             made = dataclasses.replace(made, given=data)
         under = rails.under(arm.track, arm.axes, made, number, [body.name for body in spec.obstacles])
@@ -456,15 +459,21 @@ def build(spec: CellFile, folder: Path) -> Cell:
     return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _grippers(spec), wires, table)
 
 
-def _driven(data: RobotData, arm: ArmFile, number: int) -> RobotData:
-    """The robot of an arm that joint trajectories drive. Raises :class:`TandemError` (``problem.field``) for
-    an arm that rides on a track or a gantry, which trajectories are not written for."""
+def _family(word: str, arm: ArmFile, number: int) -> str:
+    """The family of controllers that ``controller: {language: ...}`` states.
+
+    Raises:
+        TandemError: The arm rides on a track or a gantry, which such programs are not written for
+            (``problem.field``).
+    """
+    language = None if word == "ros" else plugins.usable(Language)[word]
+    title = "trajectories" if language is None else language.title
     for field, stated in (("track", arm.track), ("axes", arm.axes)):
         if stated is not None:
-            what = f"{field} of arm {arm.name}: trajectories (controller: {{language: ros}}) are written for "
+            what = f"{field} of arm {arm.name}: {title} (controller: {{language: {word}}}) are written for "
             what += "arms that stand still; leave it out, or take the arm's own language"
             raise TandemError(Issue("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name))
-    return dataclasses.replace(data, family="ROS")
+    return "ROS" if language is None else language.families[0]
 
 
 def _robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from planner.claims.handshake import Handshake, HandshakeKind, PartnerSignals, SignalWire
 from planner.geometry.units import DEG
@@ -28,6 +28,8 @@ from planner.problem import (
     output_of,
 )
 from planner.reading.strict_yaml import Name, Strict
+from planner.runtime import plugins
+from planner.runtime.plugins import Language
 
 SignalNumber = Annotated[int, Field(ge=0, le=4096)]
 """``n`` of ``$IN[n]`` or ``$OUT[n]``, or of UR's digital outputs."""
@@ -141,6 +143,12 @@ class InterlockFile(Strict):
     ]
 
 
+def _installed(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
+    """Take the name of a language that an installed package adds as it is."""
+    added = isinstance(value, str) and not plugins.is_built_in(Language, value)
+    return value if added and value in plugins.usable(Language) else validate(value)
+
+
 class ControllerFile(Strict):
     """Names that the programs use, and whether one controller moves both arms (MultiMove) or each has its
     own."""
@@ -187,11 +195,12 @@ class ControllerFile(Strict):
     interlock: Annotated[InterlockFile, Field(default_factory=InterlockFile)]
     language: Annotated[
         Literal["own", "ros"],
+        WrapValidator(_installed),
         Field(
             description="`ros`: joint trajectories for one controller of ROS 2 that moves all arms; `own`: "
             "the language of each arm's family"
         ),
-    ] = Controller.language
+    ] = "own"
     joint_prefix: Annotated[
         dict[Name, Name],
         Field(

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from planner.issues import Issue
-from planner.proof import language_contribution as contribution
 from planner.proof.language_contribution import ProofOfLanguage, checked, job_issues, of_arm, of_file, of_task
 from planner.proof.rule import Outcome
 from planner.proof.rule_table import built_in
@@ -59,7 +58,7 @@ def test_languages_are_known_by_tasks_files_and_arms(toys: None) -> None:
 
 @pytest.mark.parametrize("name", ["rapid", "krl", "urscript", "trajectories"])
 def test_parts_belong_to_rules_of_the_proof(name: str) -> None:
-    own = contribution.of_task(_task(name))
+    own = of_task(_task(name))
     assert {*own.checks, *own.job_checks, *(rule.code for rule in own.rules)} <= set(built_in())
 
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from planner.claims.handshake import Handshake, PartnerSignals, SignalWire
-from planner.languages.rapid.rules import settings as rapid_settings
 from planner.languages.writing import write
 from planner.proof.context import Context
 from planner.proof.rules import handshake as rules_handshake
+from planner.proof.rules import settings as rules_settings
 from tests.languages.writing import krl_job
 from tests.proof import handshake_job
 
@@ -309,7 +309,7 @@ def test_only_a_plain_stop_before_the_first_move_is_no_change_of_the_motion():
 
     def settings(text):
         context = Context(problem, {"panel": ()}, {**good, main: text})
-        return rapid_settings.motion_settings(context).issues
+        return rules_settings.motion_settings(context).issues
 
     assert good[main].count("    Stop;\n    UIMsgBox") == 1
     assert settings(good[main]) == ()

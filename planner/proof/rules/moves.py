@@ -41,7 +41,7 @@ def unknown_start(context: Context) -> Outcome:
     told: dict[str, list[str]] = {}
     none = "nothing moves"
     for task in context.job.tasks:
-        one = checked(UNKNOWN_START, context, task)
+        one = of_task(task).checks.get(UNKNOWN_START, _axis_shares)(context, task)
         found += one.issues
         worst = max(worst, one.worst or 0.0)
         none = one.nothing or none
@@ -52,7 +52,7 @@ def unknown_start(context: Context) -> Outcome:
     return Outcome(tuple(found), 100.0 * worst, 100.0, "% of the speed allowed", where, nothing)
 
 
-def axis_shares(context: Context, task: TaskText) -> Outcome:
+def _axis_shares(context: Context, task: TaskText) -> Outcome:
     """Check the fraction of the axes' speeds that the first move states, a PTP (KRL) or movej (URScript)."""
     move = next((step for step in task.steps if isinstance(step, MoveStep)), None)
     if move is None:
@@ -88,17 +88,6 @@ def _words(move: MoveStep) -> str:
     return f"{mm(speed):g} mm/s, {np.rad2deg(move.speed.turn):g} deg/s"
 
 
-def accelerations(task: TaskText) -> list[Issue]:
-    """Return the moves by joints that ask for more of their leading axis than every axis has."""
-    limit, out = float(np.min(task.arm.data.acceleration)), []
-    for step in task.steps:
-        if isinstance(step, MoveStep) and step.acceleration is not None and step.acceleration > limit:
-            given, most = np.rad2deg([step.acceleration, limit])
-            what = f"the leading axis is to accelerate by {given:.1f} deg/s^2; allowed: {most:.1f}"
-            out.append(at_step("verify.move_kinds", what, task, step))
-    return out
-
-
 _ZERO_WAY, _ZERO_TURN = 1e-8, 1e-9
 TRACK_AHEAD = 5e-3
 """A track that goes along may begin to round a corner so far [m] before its tool does, as in z10: the replay
@@ -112,9 +101,22 @@ def move_kinds(context: Context) -> Outcome:
     """Only moves whose path is known: MoveAbsJ, and MoveL with ConfL as the arm needs it; no \\Conc, no
     external axes but tracks and turntables. KRL: PTP, and LIN or SLIN; URScript: movej, no faster up than
     the axes may, and movel."""
-    return Outcome(
-        tuple(i for task in context.job.tasks for i in checked("verify.move_kinds", context, task).issues)
-    )
+    issues = list[Issue]()
+    for task in context.job.tasks:
+        issues += checked("verify.move_kinds", context, task).issues
+        issues += _accelerations(task)
+    return Outcome(tuple(issues))
+
+
+def _accelerations(task: TaskText) -> list[Issue]:
+    """Return the moves by joints that ask for more of their leading axis than every axis has."""
+    limit, out = float(np.min(task.arm.data.acceleration)), []
+    for step in task.steps:
+        if isinstance(step, MoveStep) and step.acceleration is not None and step.acceleration > limit:
+            given, most = np.rad2deg([step.acceleration, limit])
+            what = f"the leading axis is to accelerate by {given:.1f} deg/s^2; allowed: {most:.1f}"
+            out.append(at_step("verify.move_kinds", what, task, step))
+    return out
 
 
 @rule("verify.zone_size")
@@ -123,6 +125,8 @@ def zone_size(context: Context) -> Outcome:
     goes along begins where that of the tool does, to 5 mm."""
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
+        if task.text.is_trajectory:
+            continue  # no corner is rounded there
         find_corners = of_task(task).corners
         if find_corners is not None:
             found, over = find_corners(task, moves)

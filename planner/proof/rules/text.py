@@ -14,7 +14,8 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from planner.issues import Issue, Severity
-from planner.programs.job import task_names
+from planner.programs.job import endings, task_names
+from planner.programs.language import Sharing, reader_of
 from planner.programs.stages import JobText, TaskText
 from planner.programs.steps import Fault, MoveStep
 from planner.programs.text import changed, strange
@@ -242,22 +243,22 @@ def files(context: Context) -> Outcome:
     """Every task of the cell has modules, no file is left over, and the program lists name the modules that
     are there, as the controller's RobotWare loads them; a file of KRL or URScript has the
     name of its program."""
+    arms = context.problem.cell.arms
+    sharing = {arm.name for arm in arms if (own := reader_of(arm)) and own.sharing is Sharing.FILE}
+    shared = tuple(ending for arm in arms if arm.name in sharing for ending in endings(arm))
     issues = [
-        Issue("verify.files", f.message, file=f.file, line=f.line, hint=_named(f))
+        Issue("verify.files", f.message, file=f.file, line=f.line, hint=_named(f, shared))
         for f in context.job.faults
         if f.kind in _FILES
     ]
-    faulty = any(
-        language_contribution.of_file(f.file).one_file for f in context.job.faults
-    )  # there, but not read
+    faulty = any(f.file.endswith(shared) for f in context.job.faults)  # there, but not read
     names = task_names(context.problem)
     read = {task.name for task in context.job.tasks}
     used = {arm for operation in context.problem.operations for arm in operation.arms}
-    for number, arm in enumerate(context.problem.cell.arms):
+    for number, arm in enumerate(arms):
         name = names[number] if number < len(names) else f"task {number + 1}"
-        language = language_contribution.of_arm(arm)
-        if arm.name in used and name not in read and not (language.one_file and faulty):
-            message = language.missing_file.format(arm=arm.name, task=name)
+        if arm.name in used and name not in read and not (faulty and arm.name in sharing):
+            message = language_contribution.of_arm(arm).missing_file.format(arm=arm.name, task=name)
             issues.append(Issue("verify.files", message, arm=arm.name, hint="copy all files of the programs"))
     issues += [
         Issue("verify.files", f"{path} belongs to none of the tasks", file=path, hint="take it away")
@@ -268,9 +269,8 @@ def files(context: Context) -> Outcome:
     return Outcome((*issues, *job_issues("verify.files", context)))
 
 
-def _named(fault: Fault) -> str:
-    several = language_contribution.of_file(fault.file).one_file
-    return "take all but one away" if several else "rename the file as its program is"
+def _named(fault: Fault, shared: tuple[str, ...]) -> str:
+    return "take all but one away" if fault.file.endswith(shared) else "rename the file as its program is"
 
 
 @rule("verify.digest")

@@ -9,7 +9,6 @@ from planner.languages.krl.reader.parser import without_comments
 from planner.languages.krl.rules import controller_files, external_axes, moves, spline, text
 from planner.languages.krl.sentences import KRL_EARLIER
 from planner.proof.language_contribution import ExternalAxes, ProofOfLanguage, StartSentences
-from planner.proof.rules.moves import axis_shares
 
 
 def _same_text(first: str, second: str) -> bool:
@@ -18,11 +17,7 @@ def _same_text(first: str, second: str) -> bool:
 
 PROOF: Final = ProofOfLanguage(
     rules=(moves.status, spline.spline),
-    checks={
-        "verify.hidden": moves.hidden,
-        "verify.move_kinds": moves.move_kinds,
-        "verify.unknown_start": axis_shares,
-    },
+    checks={"verify.hidden": moves.hidden, "verify.move_kinds": moves.move_kinds},
     same_text=_same_text,
     targets_in=text.targets_in,
     likely_cause=text.likely_cause,

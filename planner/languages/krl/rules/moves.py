@@ -17,7 +17,6 @@ from planner.proof.kinematics.external_axes import outer_axes, outer_values, sli
 from planner.proof.kinematics.inverse_kinematics import select_by_status
 from planner.proof.replay.moves import flange_at, solutions
 from planner.proof.rule import Outcome, at_step, mm, rule
-from planner.proof.rules.moves import accelerations
 
 _SAME_PLACE = 1e-5
 """A move whose TCP goes no farther [m] turns only."""
@@ -35,9 +34,9 @@ _OTHER_SOLUTION = np.deg2rad(0.01)
 
 
 def move_kinds(context: Context, task: TaskText) -> Outcome:
-    """Moves of a task without external axes that use one, and accelerations (verify.move_kinds)."""
+    """Moves of a task without external axes that use one (verify.move_kinds)."""
     if outer_axes(task.arm, context.problem.cell.turntable):  # then verify.external_axes looks
-        return Outcome(tuple(accelerations(task)))
+        return Outcome()
     out = []
     for step in task.steps:
         if not isinstance(step, MoveStep):
@@ -46,7 +45,7 @@ def move_kinds(context: Context, task: TaskText) -> Outcome:
         if stated[stated < MOST_OUTER].max(initial=0.0) > 0.0:
             what = "the target moves an external axis; E1 to E6 are 0 here"
             out.append(at_step("verify.move_kinds", what, task, step))
-    return Outcome((*out, *accelerations(task)))
+    return Outcome(tuple(out))
 
 
 def hidden(context: Context, task: TaskText) -> Outcome:

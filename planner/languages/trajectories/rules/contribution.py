@@ -28,7 +28,6 @@ PROOF: Final = ProofOfLanguage(
     checks={"verify.unknown_start": _unknown_start},
     job_checks={"verify.dialogue": trajectories.announced},
     start=StartSentences(ready=sentences.KRL_READY, clear=sentences.KRL_CLEAR),
-    one_file=True,
     missing_file="no file of trajectories moves arm {arm}",
     begins=frozenset(BEGINS.values()),
 )

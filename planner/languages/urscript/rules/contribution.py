@@ -10,20 +10,12 @@ from planner.languages.urscript.reader.words import without_comments
 from planner.languages.urscript.rules import handshake
 from planner.languages.urscript.rules.robot_check import robot_check
 from planner.languages.urscript.sentences import UR_CALLED, UR_EARLIER, UR_START_PARTNER
-from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep
-from planner.proof.context import Context
 from planner.proof.language_contribution import ProofOfLanguage, StartSentences
-from planner.proof.rule import Outcome
-from planner.proof.rules.moves import accelerations, axis_shares
 
 
 def _same_text(first: str, second: str) -> bool:
     return without_comments(first) == without_comments(second)
-
-
-def _move_kinds(context: Context, task: TaskText) -> Outcome:
-    return Outcome(tuple(accelerations(task)))
 
 
 def _stands_still(move: MoveStep) -> str:
@@ -31,11 +23,7 @@ def _stands_still(move: MoveStep) -> str:
 
 
 PROOF: Final = ProofOfLanguage(
-    checks={
-        "verify.cell_check": robot_check,
-        "verify.move_kinds": _move_kinds,
-        "verify.unknown_start": axis_shares,
-    },
+    checks={"verify.cell_check": robot_check},
     job_checks={"verify.handshake": handshake.handshake},
     same_text=_same_text,
     start=StartSentences(
