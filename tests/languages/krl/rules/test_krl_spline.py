@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from planner import pipeline
+from planner.claims.claim import kinds
 from planner.issues import TandemError
 from planner.languages.krl.writer import spline_blocks
 from planner.languages.writing import write
 from planner.processes import registry
 from planner.proof import prove
+from planner.proof.rule_table import built_in
 from planner.proof.rules import clearance
 from planner.reading.controller import ControllerFile, controllers
 from tests import small_problem
@@ -166,3 +168,23 @@ def test_a_bundled_job_of_milling_is_proven_in_blocks():
     rules = {rule.code: rule for rule in outcome.proof.rules}
     assert 0.01 < rules["verify.spline"].worst < 0.1
     assert rules["verify.mill_gouge"].limit < 0.15  # of 0.15 mm without blocks
+
+
+ON_CURVES = {
+    "ContactOnlyIn": "is about states of an output, not about the path",
+    "FeedWindow": "has feeds lowered by the factor by which a curve may be faster",
+    "OperatorDialogue": "is about what is shown and asked",
+    "FollowsPoses": "asks for the points, through which every curve goes",
+    "FollowsTable": "asks for the points, and for the times between them",
+    **dict.fromkeys(
+        ("MillsSurface", "MillsAlong", "MillsFlank", "MillsOver", "SparesPart"), "has a tolerance"
+    ),
+    **dict.fromkeys(("MillsProgram", "Engraves"), "becomes MillsAlong when its file is read"),
+}
+"""Kinds of claims that hold on spline blocks, with the reason: by hand, because writer and proof ask the claim."""
+
+
+def test_claims_hold_on_curves_for_a_reason() -> None:
+    built_in()  # imports all processes
+    own = {kind for kind in kinds() if kind.__module__.startswith("planner.")}
+    assert {kind.__name__ for kind in own if kind.on_curves} == set(ON_CURVES)
