@@ -11,6 +11,9 @@ import numpy as np
 from planner.languages.writing.handshake import Ask, AwaitLine, AwaitRunning, Halt, SetLine
 from tests.proof.planner_faults import Fault, always, fields, given, of, result
 
+_STATION = "languages.writing.steps:outer_values"
+"""Values of external axes in a setup, as programs have them."""
+
 
 def _scaled(share: float) -> Any:
     return lambda old: share * old
@@ -195,12 +198,14 @@ RAPID: Final = (
         {"languages.writing.steps:_written": given(0, lambda plan: of(plan, values=_scaled(2.0)))},
     ),
     Fault("post_slack_off", "elastic", {"languages.writing.steps:_written": given(0, _slack_off)}),
-    Fault("gantry_value_off", "gantry", {"languages.writing.steps:_outer": result(_first_off)}),
-    Fault("gantry_values_swapped", "gantry", {"languages.writing.steps:_outer": result(_values_swapped)}),
+    Fault("gantry_value_off", "gantry", {_STATION: result(_first_off)}),
+    Fault("gantry_values_swapped", "gantry", {_STATION: result(_values_swapped)}),
     Fault(
-        "gantry_values_swapped_krl", "gantry_krl", {"languages.writing.steps:_outer": result(_values_swapped)}
+        "gantry_values_swapped_krl",
+        "gantry_krl",
+        {_STATION: result(_values_swapped)},
     ),
-    Fault("gantry_in_metres", "gantry", {"languages.writing.steps:_outer": result(_in_metres)}),
+    Fault("gantry_in_metres", "gantry", {_STATION: result(_in_metres)}),
     Fault("gantry_order_reversed", "gantry", {"problem:in_turn": result(lambda names: names[::-1])}),
     Fault(
         "gantry_unit_off",

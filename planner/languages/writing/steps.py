@@ -6,10 +6,8 @@ holds, as the controller must know it.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +18,7 @@ from planner.claims.handshake import Handshake
 from planner.claims.segments import Segment
 from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.languages.writing import handshake as handshake_drift
 from planner.languages.writing.handshake import handshake_refusals, meeting_rows, stretched
@@ -45,8 +43,9 @@ from planner.languages.writing.layout import (
     TaskProgram,
     Track,
 )
+from planner.languages.writing.outer_axes import at_station, legs_between, outer_values, table_of
 from planner.plans import OperationPlan, Plan
-from planner.problem import OUTER_DECIMALS, Arm, Cell, Problem, Settings, Setup, Turntable, in_turn
+from planner.problem import OUTER_DECIMALS, Arm, Cell, Problem, Settings, Setup
 from planner.targets import Action, Targets
 from planner.tooling import Tool
 
@@ -130,7 +129,7 @@ def build(plan: Plan, problem: Problem) -> Job:
         refused = handshake_refusals(problem, [operation.targets for operation in plan.operations])
         if refused:
             raise TandemError(refused)
-    homes = {arm.name: _outer(arm, problem.cell, problem.homes) for arm in arms}
+    homes = {arm.name: outer_values(arm, problem.cell, problem.homes) for arm in arms}
     builder = _Builder([arm.name for arm in arms], handshake, problem.settings, homes)
     loads = carries(plan, problem)
     travels = axis_way.travels(problem, plan.places)
@@ -156,7 +155,7 @@ def build(plan: Plan, problem: Problem) -> Job:
             robot=arm.data,
             base=plan.bases.get(arm.name, arm.base),
             operations=tuple(part[arm.name] for part in parts),
-            table=_table(arm, problem.cell),
+            table=table_of(arm, problem.cell),
             home_station=homes[arm.name],
         )
         for n, arm in enumerate(arms)
@@ -228,9 +227,9 @@ class _Builder:
         self.steps = {arm: [] for arm in self.arms}
         self._meet(f"all tasks are ready for operation {plan.name}")
         before = dict(self.stands)
-        stands = {arm: _outer(arms[arm], setup.cell, setup.stands) for arm in self.arms}
+        stands = {arm: outer_values(arms[arm], setup.cell, setup.stands) for arm in self.arms}
         gone = {arm: float(values[-1]) for arm, values in targets.ride.items()}
-        leaves = {arm: _outer(arms[arm], setup.cell, {**setup.stands, **gone}) for arm in self.arms}
+        leaves = {arm: outer_values(arms[arm], setup.cell, {**setup.stands, **gone}) for arm in self.arms}
         homes = {arm: arms[arm].home for arm in self.arms}
         opened = number == setup.operations[0] and bool(setup.steps)
         for arm in self.arms:
@@ -257,7 +256,7 @@ class _Builder:
         self._actions(targets, -1, keep)
         self._blocks(number, targets, keep, segments, meets, duration)
         for arm in self.arms:
-            self.steps[arm] = [_at_station(step, stands[arm]) for step in self.steps[arm]]
+            self.steps[arm] = [at_station(step, stands[arm]) for step in self.steps[arm]]
             self.stands[arm] = leaves[arm]
         if "exit" in plan.together:
             self._at_once({arm: (plan.q[arm][-1], *plan.exit[arm], homes[arm]) for arm in plan.order}, "exit")
@@ -266,10 +265,10 @@ class _Builder:
                 steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
                 self._alone(arm, steps[1:], f"{arm} is home again")
         for arm in self.arms:
-            self.steps[arm] = [_at_station(step, leaves[arm]) for step in self.steps[arm]]
+            self.steps[arm] = [at_station(step, leaves[arm]) for step in self.steps[arm]]
         if closing is not None:
             self._setup(closing, "all work is done")
-            ends = {arm: _outer(arms[arm], closing.cell, closing.stands) for arm in self.arms}
+            ends = {arm: outer_values(arms[arm], closing.cell, closing.stands) for arm in self.arms}
             self._stations(ends, arms, closing.cell, travels[1])
         ids = np.arange(1, len(keep) + 1)
         return {
@@ -299,9 +298,9 @@ class _Builder:
         """External axes that stand elsewhere go to where they are to stand, arm after arm, folded, those of a
         gantry or positioner one after the other; for as long the other arm waits."""
         for arm in self.arms:
-            station, before, table = stands[arm], self.stands[arm], _table(arms[arm], cell)
+            station, before, table = stands[arm], self.stands[arm], table_of(arms[arm], cell)
             if station is not None and before is not None and station != before:
-                legs = _legs(before, station, arms[arm], table)
+                legs = legs_between(before, station, arms[arm], table)
                 steps = [Joints(arms[arm].home, "station", station=leg) for leg in legs]
                 what = arm if table is None else "the block"
                 names = arms[arm].rails if table is None else table.axes
@@ -386,71 +385,6 @@ class _Builder:
                 one = targets.arms[0]
                 self._meet(f"{one} has run its moves", float(duration[first:last].sum()), one)
             self._actions(targets, last - 1, keep)
-
-
-def _table(arm: Arm, cell: Cell) -> Turntable | None:
-    """The turntable that the program of an arm moves."""
-    return cell.turntable if cell.turntable is not None and cell.turntable.arm == arm.name else None
-
-
-class OuterSpeed(NamedTuple):
-    """Of an external axis: the highest speed on the way to a station, and its ``own`` [m/s, rad/s]."""
-
-    most: float
-    own: float
-
-
-def outer_speeds(task: TaskProgram, plan: Plan, problem: Problem) -> dict[int, OuterSpeed]:
-    """Speeds of the external axes that a task moves, by column: what they carry goes at most at
-    :data:`planner.problem.BLIND_SPEED`."""
-    out: dict[int, OuterSpeed] = {}
-    speeds = axis_way.travel_speeds(problem, plan.places)
-    for name, rail in task.arm.rails.items():
-        out[rail.column] = OuterSpeed(speeds[name], rail.speed)
-    if (table := task.table) is not None:
-        for name, axis in table.axes.items():
-            out[axis.column] = OuterSpeed(speeds[name], axis.speed)
-    return out
-
-
-def outer_names(task: TaskProgram) -> dict[int, tuple[str, str]]:
-    """Names of the external axes that a task moves, and the units of their values in texts, by column."""
-    out = {axis.column: (axis.label, "mm") for axis in task.arm.axes}
-    if (table := task.table) is not None:
-        out |= {axis.column: (axis.label, "deg") for axis in table.axes.values()}
-    return out
-
-
-def _outer(arm: Arm, cell: Cell, values: Mapping[str, float]) -> Outer | None:
-    """The external axes that the program of an arm moves, at ``values`` [m, rad] by their names; None where
-    it moves none."""
-    out = {axis.column: values[name] / MM for name, axis in arm.rails.items()}
-    table = _table(arm, cell)
-    if table is not None:
-        out |= {axis.column: values[name] / DEG for name, axis in table.axes.items()}
-    return tuple((column, round(value, OUTER_DECIMALS)) for column, value in sorted(out.items())) or None
-
-
-def _legs(before: Outer, station: Outer, arm: Arm, table: Turntable | None) -> list[Outer]:
-    """The stands that external axes go through from one to the other, one after the other: those of a gantry
-    as :func:`planner.problem.in_turn` has them, the turn of a positioner before its tilt."""
-    out, at, there = list[Outer](), dict(before), dict(station)
-    rails = arm.rails
-    ends = [{name: MM * some[axis.column] for name, axis in rails.items()} for some in (at, there)]
-    columns = [rails[name].column for name in in_turn(rails, *ends)]
-    columns += [] if table is None else [axis.column for axis in table.axes.values()]
-    for column in columns:
-        if at[column] != there[column]:
-            at[column] = there[column]
-            out.append(tuple(sorted(at.items())))
-    return out
-
-
-def _at_station(step: Step, station: Outer | None) -> Step:
-    """A joint move that says nothing of external axes is one where they stand."""
-    if isinstance(step, Joints) and step.station is None:
-        return dataclasses.replace(step, station=station)
-    return step
 
 
 def _runs(number: int, segments: Sequence[Segment], first: int, last: int, together: bool) -> list[Run]:

@@ -37,14 +37,10 @@ from planner.programs.stages import TaskText
 from planner.programs.steps import (
     MOST_OUTER,
     JointTarget,
-    MessageStep,
     MoveStep,
     PassedTarget,
     RobTarget,
-    SettingStep,
     StatusTarget,
-    Step,
-    WaitStep,
     poses,
 )
 from planner.proof.kinematics import inverse_kinematics, offset_arm
@@ -529,31 +525,6 @@ def _share(zone: FloatArray, angle: FloatArray, step: FloatArray, turn: FloatArr
     """Fraction of moves that zones cover: by the way of the TCP, or by the turning of a TCP that stands."""
     by_turn = np.where(turn > 1e-6, angle / np.maximum(turn, 1e-6), _MOST_CORNER_SHARE)
     return np.where(step > 1e-5, zone / np.maximum(step, 1e-5), by_turn)
-
-
-def between(steps: tuple[Step, ...], count: int) -> list[list[Step]]:
-    """Steps that are no moves: before the first move, behind each of ``count`` moves (the last takes what
-    remains)."""
-    out: list[list[Step]] = [[] for _ in range(count + 1)]
-    seen = 0
-    for step in steps:
-        if isinstance(step, MoveStep):
-            seen += 1
-        else:
-            out[min(seen, count)].append(step)
-    return out
-
-
-def dwell_time(steps: list[Step]) -> float:
-    """Seconds that the steps wait for."""
-    return sum(step.pause for step in steps if isinstance(step, WaitStep))
-
-
-def needs_standstill(steps: list[Step]) -> bool:
-    """Whether the steps need the arm to stand: waits and questions to the operator, not settings."""
-    return any(
-        isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm) for step in steps
-    ) or any(isinstance(step, SettingStep) and step.stops for step in steps)
 
 
 SAMPLES_AT_ONCE = 32_768

@@ -26,8 +26,9 @@ from planner.programs.steps import MoveStep, Step
 from planner.programs.text import segment_of_name
 from planner.proof.kinematics import arm_model, inverse_kinematics
 from planner.proof.replay import moves
+from planner.proof.replay.logic import between, dwell_time, needs_standstill
 from planner.proof.replay.motion import Fault, Grown, GrownPoses, Instants, Motion, Poses
-from planner.proof.replay.moves import Riding, Row, between, dwell_time, make_law, make_row, needs_standstill
+from planner.proof.replay.moves import Riding, Row, make_law, make_row
 from planner.runtime.memory import release_memory
 
 SAMPLE_TIME = 0.004

@@ -21,7 +21,7 @@ from planner.programs.steps import ChoiceStep, MessageStep, MoveStep, SettingSte
 from planner.programs.text import segment_of_name
 from planner.proof.context import Context
 from planner.proof.language_contribution import of_task
-from planner.proof.replay.moves import between, dwell_time
+from planner.proof.replay.logic import between, dwell_time
 from planner.proof.rule import Outcome, at_node, at_step, mm, rule
 
 POWER_IDLE = "verify.power_idle"

@@ -59,7 +59,7 @@ from planner.languages.writing.layout import (
     parts,
     short,
 )
-from planner.languages.writing.steps import outer_names, outer_speeds
+from planner.languages.writing.outer_axes import outer_names, outer_speeds
 from planner.plans import Plan
 from planner.problem import Controller, KrlDialect, Problem
 from planner.runtime.version import __version__

@@ -26,7 +26,8 @@ from planner.languages.writing.layout import (
     number,
     short,
 )
-from planner.languages.writing.steps import outer_names, outer_speeds, require_mass
+from planner.languages.writing.outer_axes import outer_names, outer_speeds
+from planner.languages.writing.steps import require_mass
 from planner.plans import Plan
 from planner.problem import BLIND_SPEED, OUTER_DECIMALS, Problem
 from planner.tooling import Tool

@@ -20,7 +20,7 @@ from planner.geometry.arrays import FloatArray, IntArray, dots, lengths
 from planner.processes.forming.claims import FormsByTable
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.shapes import Overhead, spread_over
-from planner.processes.forming.proof.state import Track, pieces, track
+from planner.processes.forming.proof.tracks import Track, pieces, track
 from planner.proof.context import Context
 
 WALL_ANGLE_STEP = np.deg2rad(0.01)

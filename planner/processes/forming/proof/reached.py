@@ -17,8 +17,9 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.processes.forming.claims import FormsSheet
-from planner.processes.forming.proof.state import Formed, Track
+from planner.processes.forming.proof.state import Formed
 from planner.processes.forming.proof.swept import walls
+from planner.processes.forming.proof.tracks import Track
 from planner.proof.faces import areas, divided
 
 Depths = tuple[FloatArray, IntArray]

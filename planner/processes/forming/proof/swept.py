@@ -21,7 +21,8 @@ from planner.geometry.mesh import TriangleMesh, closest_on_triangles, face_norma
 from planner.geometry.units import MM
 from planner.processes.forming.claims import FormsSheet
 from planner.processes.forming.proof.face import Face, apart, least_gap
-from planner.processes.forming.proof.state import FORMING, ByRow, Formed, Forming
+from planner.processes.forming.proof.state import FORMING, Formed, Forming
+from planner.processes.forming.proof.tracks import ByRow
 from planner.proof.context import Context
 from planner.proof.faces import areas, divided, vertex_normals
 from planner.proof.facts import Fact

@@ -181,7 +181,8 @@ ON_CURVES = {
     ),
     **dict.fromkeys(("MillsProgram", "Engraves"), "becomes MillsAlong when its file is read"),
 }
-"""Kinds of claims that hold on spline blocks, with the reason: by hand, because writer and proof ask the claim."""
+"""Kinds of claims that hold on spline blocks, with the reason: by hand, because writer and proof ask the
+claim."""
 
 
 def test_claims_hold_on_curves_for_a_reason() -> None:

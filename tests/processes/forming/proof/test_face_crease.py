@@ -10,7 +10,8 @@ from scipy.spatial import Delaunay
 
 from planner.processes.forming.proof.face import Face, Nearest
 from planner.processes.forming.proof.rules.two_tools import _turned
-from planner.processes.forming.proof.state import TOUCHED_WITHIN, Balls, Track
+from planner.processes.forming.proof.state import TOUCHED_WITHIN, Balls
+from planner.processes.forming.proof.tracks import Track
 
 TILT = np.radians(60.0)
 RADIUS = 0.005

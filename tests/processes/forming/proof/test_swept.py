@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.processes.forming.proof import swept
 from planner.processes.forming.proof.face import Face
-from planner.processes.forming.proof.state import Centres
+from planner.processes.forming.proof.tracks import Centres
 from planner.proof.prove import Prover
 from planner.proof.replay.motion import Poses
 from tests.languages.rapid.rapid_edits import segment, shifted

@@ -27,20 +27,24 @@ from planner.processes.forming.proof import (
     scan_field,
     springback_bounds,
     springback_file,
-    stated_force,
 )
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.released import Told
+from planner.processes.forming.proof.rules.springback_forces import (
+    CODE,
+    force_issues,
+    forces_along,
+    formula_forces,
+    group_of,
+    springback_issue,
+)
 from planner.processes.forming.proof.shapes import PartShapes
 from planner.processes.forming.proof.springback_bounds import STEP, FilePass
 from planner.processes.forming.proof.springback_file import Control, Measured, Way
 from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, at_sample, mm, rule
-from planner.tooling import FormingTool
 
-CODE = "verify.springback"
-"""Code of this rule."""
 NOTHING = "no tool goes deeper than the part"
 """Why it has not run."""
 DRAWN = 5
@@ -51,10 +55,6 @@ SHARE, NOISE = 0.03, 2e-5
 """How far what comes out may be off the file's, as a share, and [m] besides: two meshes."""
 WAY_OFF = 1e-4
 """The replayed way is off the file's by no more [m] while it forms."""
-FORCE_SHARE = 1e-3
-"""Forces that differ by this share are one: figures of the file are rounded."""
-LEAST_FORCE = 0.01
-"""Forces by formula are this share of the largest at least: where a pass is flat it says 0."""
 BETWEEN = 0.05
 """Shifts are within this share of what lies between the control points around them."""
 OFF_TOUCH = 3e-4
@@ -72,8 +72,6 @@ PLACES = 3
 CURVED = 0.35
 """Between levels shifts are off by no more than this share of what these differ under the force there: where
 a tool rolls onto the floor one level is on the wall's edge and the next one on the floor."""
-ALONG, ANGLE_ALONG = 2, np.deg2rad(0.3)
-"""Walls by which a formula takes a force are those so many steps of `STEP` around, within this [rad]."""
 BEYOND = 1.5
 """Curves that go on to so many times the force of their point are worked out at their end as well."""
 MOST_PLACES = 60_000
@@ -100,7 +98,7 @@ def springback(context: Context) -> Outcome:
     worst, where = 0.0, ""
     for one in forming.told:
         if one.given is None:
-            issues.append(_issue(one, one.fault))
+            issues.append(springback_issue(one, one.fault))
             continue
         if one.given.measured is not None or one.operation.springback.scan is not None:
             off, found = _scanned(context, forming, one)
@@ -109,7 +107,7 @@ def springback(context: Context) -> Outcome:
             if off >= worst:
                 worst, where = off, one.claim.operation
             continue
-        found = [*_belongs(context, one), *_limits(one), *_forces(context, one)]
+        found = [*_belongs(context, one), *_limits(one), *force_issues(context, one)]
         passes = [] if found else list(_passes(context, forming, one))
         found += _placed(one, passes)
         found += _along(one, passes) if not found else []
@@ -127,13 +125,6 @@ def springback(context: Context) -> Outcome:
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of how far two meshes may be off", where)
 
 
-def _issue(
-    one: Told, what: str, got: float | None = None, limit: float | None = None, unit: str = ""
-) -> Issue:
-    what = f"{one.claim.operation}: {what}"
-    return Issue(CODE, what, field="springback", value=got, limit=limit, unit=unit or None)
-
-
 def _unclaimed(context: Context, forming: Forming) -> Iterator[Issue]:
     """Operations that name a file of which nothing is claimed, and passes that are left out of a claim."""
     claimed = {one.claim.operation: one for one in forming.told}
@@ -145,14 +136,9 @@ def _unclaimed(context: Context, forming: Forming) -> Iterator[Issue]:
         if not isinstance(claim, FormsSheet):
             continue
         for one in claimed.values():
-            group = _group(context, one)
+            group = group_of(context, one)
             if index == one.index and claim in group and claim.segment not in one.claim.segments:
-                yield _issue(one, f"{claim.segment} is left out of what goes deeper")
-
-
-def _group(context: Context, one: Told) -> tuple[object, ...]:
-    """All claims of the operation of a claim."""
-    return next(group for group in context.setup_claims[one.index].groups if one.claim in group)
+                yield springback_issue(one, f"{claim.segment} is left out of what goes deeper")
 
 
 def _made(forming: Forming, one: Told) -> PartShapes | None:
@@ -165,16 +151,20 @@ def _belongs(context: Context, one: Told) -> Iterator[Issue]:
     given = one.given
     mine = springback_file.of_job(context.problem, context.setups[one.index], one.operation)
     if given is None or mine is None:
-        yield _issue(one, "there is no sheet that comes back")
+        yield springback_issue(one, "there is no sheet that comes back")
         return
     for name in springback_file.differing(given.belongs, mine):
         said, has = given.belongs.get(name), mine.get(name)
-        yield _issue(one, f"its springback file is of another job: {name} is {said}, here {has}")
+        yield springback_issue(one, f"its springback file is of another job: {name} is {said}, here {has}")
     if one.operation.mode not in MODES:
-        yield _issue(one, f"in mode {one.operation.mode} nothing is known of what the sheet comes back by")
+        yield springback_issue(
+            one, f"in mode {one.operation.mode} nothing is known of what the sheet comes back by"
+        )
     names = {segment.name for segment in one.claim.segments}
     if names != set(given.ways):
-        yield _issue(one, f"its springback file has the passes {sorted(given.ways)}, here {sorted(names)}")
+        yield springback_issue(
+            one, f"its springback file has the passes {sorted(given.ways)}, here {sorted(names)}"
+        )
 
 
 def _limits(one: Told) -> Iterator[Issue]:
@@ -183,96 +173,7 @@ def _limits(one: Told) -> Iterator[Issue]:
     for name, way in ({} if one.given is None else one.given.ways).items():
         for what, got, limit, unit in way.faults(float(stated.slope), float(stated.most_mm) * MM):
             told = f"{name} has {what} in its springback file: {got:.4g} {unit}; allowed: {limit:g}"
-            yield _issue(one, told, got, limit, unit)
-
-
-def _forces(context: Context, one: Told) -> Iterator[Issue]:
-    """Whether forces are the problem's, or by the formula that it names."""
-    setup, given, operation = context.setups[one.index], one.given, one.operation
-    sheet = setup.stock.sheet
-    if given is None or sheet is None:
-        return
-    claims = {claim.segment.name: claim for claim in _group(context, one) if isinstance(claim, FormsSheet)}
-    for name in given.ways:
-        mine = [control for control in given.controls if control.segment == name]
-        if not mine or name not in claims:
-            yield _issue(one, f"{name} has no control point in its springback file")
-            continue
-        try:
-            stated = stated_force.stated(operation, claims[name])
-        except ValueError as error:
-            yield _issue(one, f"{Path(operation.force_by.file).name}: {error}")
-            return
-        if stated is not None:
-            wanted = _at_least(stated.at(np.array([control.place for control in mine])))
-        else:
-            arms = (setup.cell.arm(arm).tool for arm in operation.arms)
-            radii = [tool.head.radius for tool in arms if isinstance(tool, FormingTool)]
-            angle = np.array([control.angle for control in mine])
-            each = [_by_formula(operation, sheet.metal.tensile_stress, setup, r, angle) for r in radii]
-            wanted = min(each, key=lambda some: float(np.abs(some - [c.force for c in mine]).max()))
-        off = np.abs(np.array([control.force for control in mine]) - wanted)
-        # figures by formula hang on angles that the file rounds, those by place on places
-        allowed = FORCE_SHARE * float(wanted.max()) + (0.1 if operation.force_n is None else 0.0)
-        k = int(np.argmax(off))
-        if off[k] > allowed:
-            what = f"a control point of {name} is under {mine[k].force:.1f} N; the problem's force there "
-            yield _issue(one, f"{what}is {wanted[k]:.1f} N", mine[k].force, float(wanted[k]), "N")
-
-
-def _by_formula(
-    operation: object, tensile: float, setup: object, radius: float, angle: FloatArray
-) -> FloatArray:
-    """Forces (N,) [N] on walls at ``angle`` (N,) [rad] of a ball: F = 0.0716 Rm t^1.57 d^0.41 h^0.09 a cos a,
-    Rm in MPa, lengths in mm, a in degrees (Aerens and others 2010), h the ridge between loops."""
-    thick = float(setup.stock.size[2]) / MM  # type: ignore[attr-defined]
-    r = radius / MM
-    step, scallop = operation.stepdown_mm, operation.scallop_mm  # type: ignore[attr-defined]
-    if step is None:
-        ridge = np.full(len(angle), float(scallop))
-    else:
-        half = np.minimum(0.5 * step / np.sin(np.maximum(angle, 1e-3)), r)
-        ridge = r - np.sqrt(np.maximum(r * r - half * half, 0.0))
-    degrees = np.rad2deg(angle)
-    force = 0.0716 * tensile / 1e6 * thick**1.57 * (2.0 * r) ** 0.41 * ridge**0.09 * degrees * np.cos(angle)
-    return _at_least(force)
-
-
-def _at_least(force: FloatArray, of: FloatArray | None = None) -> FloatArray:
-    """Forces (N,) [N] that are no smaller than where a pass is flat, by the largest ``of`` them."""
-    return np.asarray(np.maximum(force, LEAST_FORCE * float((force if of is None else of).max())))
-
-
-def _around(value: FloatArray) -> FloatArray:
-    """Values (P, 2 `ALONG` + 1) at places (P,) of a way and those around."""
-    return np.lib.stride_tricks.sliding_window_view(np.pad(value, ALONG, mode="edge"), 2 * ALONG + 1)
-
-
-def _along_way(
-    context: Context,
-    one: Told,
-    claim: FormsSheet,
-    touch: FloatArray,
-    angle: FloatArray,
-    controls: Sequence[Control],
-) -> FloatArray:
-    """The least and largest force (2, P) [N] at places ``touch`` (P, 3) [m] of a way, on walls at ``angle``
-    (P,) [rad]: as stated around, or by these walls; ``controls`` are its control points."""
-    operation, setup = one.operation, context.setups[one.index]
-    stated = stated_force.stated(operation, claim)
-    if stated is not None:
-        largest = stated.at(np.array([control.place for control in controls]))
-        near = _around(_at_least(stated.at(touch), largest))
-        return np.stack([near.min(axis=1), near.max(axis=1)])
-    sheet, radius = setup.stock.sheet, claim.radius
-    some = np.array([control.angle for control in controls])
-    tensile = 0.0 if sheet is None else sheet.metal.tensile_stress
-    wide = _around(angle)
-    each = [np.maximum(wide.min(axis=1) - ANGLE_ALONG, 0.0), angle, wide.max(axis=1) + ANGLE_ALONG]
-    force = np.array(
-        [_by_formula(operation, tensile, setup, radius, np.append(some, own))[len(some) :] for own in each]
-    )
-    return np.stack([force.min(axis=0), force.max(axis=0)])
+            yield springback_issue(one, told, got, limit, unit)
 
 
 def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]:
@@ -295,7 +196,7 @@ def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]
             rows = ring == k
             rise[rows] = min(float(np.ptp(found.place[rows, 2])), most)
         angle = np.arccos(np.clip(up, 0.0, 1.0))
-        force = _along_way(context, one, claim, found.place, angle, controls)
+        force = forces_along(context, one, claim, found.place, angle, controls)
         yield FilePass(claim, made.face, way, controls, at, found.place, angle, force, ring, rise)
 
 
@@ -314,21 +215,21 @@ def _scanned(context: Context, forming: Forming, one: Told) -> tuple[float, list
     given, stated, stock = one.given, one.operation.springback, context.setups[one.index].stock
     part = context.problem.part
     if given is None or given.measured is None or stated.scan is None or part is None or part.formed is None:
-        return 0.0, [_issue(one, "its file and the scan that the problem names do not go together")]
+        return 0.0, [springback_issue(one, "its file and the scan that the problem names do not go together")]
     said, issues = given.measured, []
     try:
         points = scan_field.points_of(Path(stated.scan.file), said)
     except ValueError as error:
-        return 0.0, [_issue(one, f"{Path(stated.scan.file).name}: {error}")]
+        return 0.0, [springback_issue(one, f"{Path(stated.scan.file).name}: {error}")]
     field = scan_field.Field(part.formed.mesh, stock.size, said.top, points)
     flat, corners = field.flat_off()
     marks = scan_field.marks_off(said)
     if flat > scan_field.FLAT_OFF or not corners:
         what = f"the flat of its scan is {mm(flat):.3f} mm off that of the sheet"
-        issues.append(_issue(one, what, mm(flat), mm(scan_field.FLAT_OFF), "mm"))
+        issues.append(springback_issue(one, what, mm(flat), mm(scan_field.FLAT_OFF), "mm"))
     if marks > scan_field.MARKS_OFF:
         what = f"its scan lies {mm(marks):.3f} mm farther from its marks than it has to"
-        issues.append(_issue(one, what, mm(marks), mm(scan_field.MARKS_OFF), "mm"))
+        issues.append(springback_issue(one, what, mm(marks), mm(scan_field.MARKS_OFF), "mm"))
     worst = max(flat / scan_field.FLAT_OFF, marks / scan_field.MARKS_OFF)
     for made in forming.formed:
         claim, way = made.claim, given.ways.get(made.claim.segment.name)
@@ -355,7 +256,9 @@ def _by_scan(
     own = float(np.nanmedian(np.abs(high - touch[:, 2]))) <= ON_PART
     if own != (name in said.adjusts):
         what = f"{name} {'forms' if own else 'does not form'} the part's own face, and its file "
-        return np.inf, [_issue(one, what + ("leaves it as it was" if own else "adjusts it by the scan"))]
+        return np.inf, [
+            springback_issue(one, what + ("leaves it as it was" if own else "adjusts it by the scan"))
+        ]
     got = np.interp(at, springback_bounds.gone(way.point), way.shift)
     slope = float(one.operation.springback.slope)
     if own:
@@ -364,7 +267,7 @@ def _by_scan(
         )
         if share < LEAST_SEEN:
             what = f"its scan shows {100.0 * share:.0f} % of the way of {name}"
-            return np.inf, [_issue(one, what, 100.0 * share, 100.0 * LEAST_SEEN, "%")]
+            return np.inf, [springback_issue(one, what, 100.0 * share, 100.0 * LEAST_SEEN, "%")]
     else:
         least = most = np.interp(at, *went)
     wanted = np.clip(got, least, most)
@@ -377,7 +280,9 @@ def _by_scan(
         f"{name} is shifted by {mm(got[k]):.3f} mm at {at[k] / MM:.0f} mm of its way; its scan, and how the "
         f"scanned part was formed, make {mm(wanted[k]):.3f} mm of it"
     )
-    return float(off[k] / slack[k]), [_issue(one, what, mm(float(off[k])), mm(float(slack[k])), "mm")]
+    return float(off[k] / slack[k]), [
+        springback_issue(one, what, mm(float(off[k])), mm(float(slack[k])), "mm")
+    ]
 
 
 def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
@@ -396,7 +301,7 @@ def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
             x, y, z = places[k] / MM
             what = f"a control point of {own.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm is "
             what += f"{mm(away[k]):.2f} mm off what the tool touches"
-            yield _issue(one, what, mm(float(away[k])), mm(0.5 * STEP + OFF_TOUCH), "mm")
+            yield springback_issue(one, what, mm(float(away[k])), mm(0.5 * STEP + OFF_TOUCH), "mm")
             continue
         normal = own.face.normal[found.triangle]
         # else nothing hangs on angles
@@ -412,7 +317,7 @@ def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
                 what = f"a control point of {own.claim.segment} is on a wall of "
                 what += f"{np.rad2deg(control.angle):.1f} deg, where the part has "
                 what += f"{np.rad2deg(steep.min()):.1f} to {np.rad2deg(steep.max()):.1f} deg"
-                yield _issue(one, what, float(np.rad2deg(off)), float(np.rad2deg(ANGLE)), "deg")
+                yield springback_issue(one, what, float(np.rad2deg(off)), float(np.rad2deg(ANGLE)), "deg")
                 break
         height, _ = own.levels()
         room = float(own.rise.max()) + OFF_TOUCH
@@ -420,19 +325,19 @@ def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
             if abs(control.place[2] - height[control.level]) > room:
                 what = f"control points of level {control.level} of {own.claim.segment} are of several loops"
                 off_level = mm(abs(float(places[row, 2]) - height[control.level]))
-                yield _issue(one, what, off_level, mm(room), "mm")
+                yield springback_issue(one, what, off_level, mm(room), "mm")
                 break
         if len(np.unique(places.round(7), axis=0)) < len(places):
-            yield _issue(one, f"control points of {own.claim.segment} are named twice")
+            yield springback_issue(one, f"control points of {own.claim.segment} are named twice")
         near = float(np.diff(sorted(height.values())).min(initial=np.inf))
         if not near > LEVELS_APART:
             what = f"two levels of {own.claim.segment} are at one height"
-            yield _issue(one, what, mm(near), mm(LEVELS_APART), "mm")
+            yield springback_issue(one, what, mm(near), mm(LEVELS_APART), "mm")
         low, high = float(own.touch[:, 2].min()), float(own.touch[:, 2].max())
         bare = max(min(height.values()) - low, high - max(height.values()))
         if bare > room:
             what = f"the levels of {own.claim.segment} leave {mm(bare):.2f} mm of its depth without one"
-            yield _issue(one, what, mm(bare), mm(room), "mm")
+            yield springback_issue(one, what, mm(bare), mm(room), "mm")
 
 
 def _along(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
@@ -454,7 +359,7 @@ def _along(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
                 f"way; what its control points and the slope make is {mm(least[k]):.3f} to "
                 f"{mm(most[k]):.3f} mm"
             )
-            yield _issue(one, what, mm(float(got[k])), mm(float(most[k])), "mm")
+            yield springback_issue(one, what, mm(float(got[k])), mm(float(most[k])), "mm")
 
 
 def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
@@ -464,7 +369,9 @@ def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
         if made.setup != one.index or claim.segment not in one.claim.segments:
             continue
         if way.aside is None or not len(way.aside):
-            yield _issue(one, f"{claim.segment} has no way in the springback file, or in the programs")
+            yield springback_issue(
+                one, f"{claim.segment} has no way in the springback file, or in the programs"
+            )
             continue
         k = int(np.argmax(way.aside))
         if way.aside[k] > WAY_OFF:
@@ -492,9 +399,9 @@ def _solved(
     and issues."""
     given, made = one.given, _made(forming, one)
     stock = context.setups[one.index].stock
-    part = next((c for c in _group(context, one) if isinstance(c, FormsPart)), None)
+    part = next((c for c in group_of(context, one) if isinstance(c, FormsPart)), None)
     if given is None or made is None or stock.sheet is None or part is None:
-        return 0.0, [_issue(one, "there is no part whose sheet comes back")]
+        return 0.0, [springback_issue(one, "there is no part whose sheet comes back")]
     metal = stock.sheet.metal
     held = elastic.Clamped(
         float(stock.size[2]), metal.young, metal.poisson, stock.sheet.opening, stock.sheet.border
@@ -508,10 +415,14 @@ def _solved(
     worst, issues = 0.0, []
     places = _places(context, one, passes)
     if not places:
-        issues.append(_issue(one, "its ways are too short for springback to be worked out anywhere"))
+        issues.append(
+            springback_issue(one, "its ways are too short for springback to be worked out anywhere")
+        )
     for k, control in _to_solve(given.controls, places):
         if control.segment not in shapes:
-            issues.append(_issue(one, f"a control point is of {control.segment}, which is not formed"))
+            issues.append(
+                springback_issue(one, f"a control point is of {control.segment}, which is not formed")
+            )
             continue
         feature, number, claim = shapes[control.segment]
         formed = elastic.Formed(made, feature, number, abs(float(control.place[2]) - claim.start))
@@ -520,7 +431,7 @@ def _solved(
         try:
             got, doubt = _once_more(formed, held, control)
         except ValueError as error:
-            issues.append(_issue(one, f"{named}: the sheet there is not worked out: {error}"))
+            issues.append(springback_issue(one, f"{named}: the sheet there is not worked out: {error}"))
             continue
         allowed = SHARE * got + NOISE + doubt
         off = abs(control.springback - got)
@@ -532,7 +443,9 @@ def _solved(
             )
             limit = mm(allowed) if np.isfinite(got) else 0.0
             issues.append(
-                _issue(one, what, mm(off) if np.isfinite(off) else mm(control.springback), limit, "mm")
+                springback_issue(
+                    one, what, mm(off) if np.isfinite(off) else mm(control.springback), limit, "mm"
+                )
             )
     for at in places[:PLACES]:
         own, k = at.own, at.row
@@ -548,7 +461,7 @@ def _solved(
         try:
             got, doubt = _once_more(formed, held, control)
         except ValueError as error:
-            issues.append(_issue(one, f"{named}: the sheet there is not worked out: {error}"))
+            issues.append(springback_issue(one, f"{named}: the sheet there is not worked out: {error}"))
             continue
         by_curves = max(at.low - got, got - at.high, 0.0), 0.5 * (at.low + at.high), at.uneven
         asked = [("has", *by_curves)]
@@ -562,7 +475,9 @@ def _solved(
                 what += " by the control points around" if says == "has" else ""
                 what += f"; an elastic sheet comes back by {mm(got):.4f} mm there under {force:.0f} N"
                 limit = mm(allowed) if np.isfinite(got) else 0.0
-                issues.append(_issue(one, what, mm(off) if np.isfinite(off) else mm(value), limit, "mm"))
+                issues.append(
+                    springback_issue(one, what, mm(off) if np.isfinite(off) else mm(value), limit, "mm")
+                )
     return worst, issues
 
 
@@ -642,7 +557,7 @@ def _force_at(context: Context, one: Told, own: FilePass, k: int) -> tuple[float
     tensile = 0.0 if sheet is None else sheet.metal.tensile_stress
     around = [float(own.angle[k]) + off for off in (0.0, -ANGLE, ANGLE)]
     angle = np.maximum(np.array([*around, *(control.angle for control in own.controls)]), 0.0)
-    force = _by_formula(operation, tensile, setup, own.claim.radius, angle)
+    force = formula_forces(operation, tensile, setup, own.claim.radius, angle)
     return float(force[0]), float(np.abs(force[1:3] / force[0] - 1.0).max())
 
 

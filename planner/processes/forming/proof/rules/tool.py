@@ -27,9 +27,10 @@ from planner.processes.forming.claims import (
 from planner.processes.forming.proof import swept
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.reached import Depths, largest_step, on_ways, while_forming
-from planner.processes.forming.proof.state import FORMING, SAMPLES_AT_ONCE, ByRow, Formed, Forming, Track
+from planner.processes.forming.proof.state import FORMING, Formed, Forming
 from planner.processes.forming.proof.steps_down import LOOP_SHARE, emptiest
 from planner.processes.forming.proof.swept import ENVELOPES, Head, HeadWay, Inside, insides, least, levels
+from planner.processes.forming.proof.tracks import SAMPLES_AT_ONCE, ByRow, Track
 from planner.proof.context import Context
 from planner.proof.faces import divided
 from planner.proof.rule import FEED_SLACK, Outcome, at_node, at_sample, mm, rule

@@ -17,14 +17,8 @@ from planner.processes.forming.claims import FollowsOpposite, FormsByTable, Supp
 from planner.processes.forming.proof.accumulative import Wanted, Way, wanted_conditions
 from planner.processes.forming.proof.face import Face, Nearest
 from planner.processes.forming.proof.rules.tool import ISSUES_SHOWN, NOTHING_FORMED, spread
-from planner.processes.forming.proof.state import (
-    FORMING,
-    TOUCHED_WITHIN,
-    TRACK_CHORD_SHARE,
-    Opened,
-    Track,
-    pieces,
-)
+from planner.processes.forming.proof.state import FORMING, TOUCHED_WITHIN, TRACK_CHORD_SHARE, Opened
+from planner.processes.forming.proof.tracks import Track, pieces
 from planner.proof.context import Context
 from planner.proof.rule import Outcome, at_sample, mm, rule
 

@@ -17,7 +17,8 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.processes.forming.claims import FormsPart, FormsSheet
 from planner.processes.forming.proof.shapes import PartShapes, Shape
-from planner.processes.forming.proof.state import FORMING, Formed, Forming, pieces
+from planner.processes.forming.proof.state import FORMING, Formed, Forming
+from planner.processes.forming.proof.tracks import pieces
 from planner.processes.trim.claims import TrimOutline, TrimsSheet
 from planner.processes.trim.proof.outlines import drawn, winding
 from planner.proof.context import Context

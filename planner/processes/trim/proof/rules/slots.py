@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,6 +20,15 @@ from planner.issues import Issue
 from planner.processes.trim.claims import TrimBlade, TrimsSheet, slot_names
 from planner.processes.trim.proof.blade_motion import CORNER_ERROR, blade_way, sharp
 from planner.processes.trim.proof.outlines import TRIM, Curve, winding
+from planner.processes.trim.proof.rules.arc_waits import (
+    LEAST_STRETCH,
+    LINGER,
+    LINGER_KERFS,
+    LINGER_TIME,
+    WAIT_ROUNDING,
+    unguarded,
+    waits,
+)
 from planner.processes.trim.proof.torch_motion import (
     PLACE_ERROR,
     PLACE_STEP,
@@ -29,24 +38,17 @@ from planner.processes.trim.proof.torch_motion import (
     TrimWork,
     Way,
     begins,
-    longest_stay,
     off_sheet,
 )
-from planner.programs.stages import TaskText
-from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
-from planner.programs.text import segment_of_name
 from planner.proof.context import Context
-from planner.proof.language_contribution import of_task
 from planner.proof.part_files import UnreadError
-from planner.proof.rule import FEED_SLACK, Outcome, at_sample, at_step, mm, rule
+from planner.proof.rule import FEED_SLACK, Outcome, at_sample, mm, rule
 from planner.tooling import Knife, Mill, Torch
 
 NOTHING_TRIMMED = "nothing is trimmed"
 """Why rules about trimming have not run."""
 ANGLE_ERROR = np.deg2rad(0.5)
 """What facets of a mesh may turn its normals by [rad]."""
-LEAST_FAR = 0.2e-3
-"""A thread that watches a torch may take one that gets farther than this [m] for one that moves."""
 AVERAGE_SLACK = 0.95
 """Share of the least average feed that is accepted, as ramps of the replay are those of no controller."""
 SAME_PLACE = 1e-9
@@ -55,22 +57,12 @@ FILLED_SHARE = 0.5
 """Places of a knife's cut are no farther apart than this part of what it may be off."""
 LEAST_JOINT = 0.5
 """Share of its width that a micro-joint has at least."""
-LINGER = 3.0
-"""On a short stretch a torch may take so many times as long as at its least average feed,"""
-LINGER_TIME = 0.5
-"""and so much longer [s], as it stops at corners."""
-LINGER_KERFS = 3.0
-"""Such a stretch is as long as a slot is wide, so many times,"""
-LEAST_STRETCH = 3e-3
-"""and so long [m] at least."""
 GOING_DOWN = 2.0
 """A mill that is higher by more than so many tolerances is still on its way down."""
 SLOPE_DOWN = 0.1
 """and so is one that gets deeper by more than this share of its way."""
 CLEAR_SHARE = 0.1
 """How much less than the wanted room is accepted between targets, as a share of it."""
-WAIT_ROUNDING = 0.001
-"""Times are written with three decimals [s]."""
 ISSUES_SHOWN = 20
 """Issues of one slot at most."""
 
@@ -363,7 +355,7 @@ def trim_arc(context: Context) -> Outcome:
     for work in torches:
         claim, motion = work.claim, context.motion
         others = {key for other in torches if other is not work for key in other.slots} - set(work.slots)
-        issues += [*_waits(context, work, others), *_guarded(context, work, others)]
+        issues += [*waits(context, work, others), *unguarded(context, work, others)]
         track, burning = work.track, work.burning
         for begin, end in zip(burning.begin, burning.end, strict=True):
             moved, start = _under_way(work, begin, end)
@@ -421,97 +413,6 @@ def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin:
             f"the torch moves {stood:.3f} s after {claim.signal} goes on; wanted: {claim.pierce_seconds:g} s"
         )
         yield at_sample("verify.trim_arc", what, motion, claim.arm, row)
-
-
-def _waits(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
-    """Whether the program waits for the arc between its start and the next move, as the text has it; no
-    other program can, that starts it. ``others``: slots of other operations, which have their own waits."""
-    claim = work.claim
-    if claim.ok_signal is None:
-        return
-    for task in context.job.tasks:
-        if task.arm.name != claim.arm:
-            if task.name in context.switching((claim.arm,)):
-                lit = (s for s in task.steps if isinstance(s, SignalStep) and s.value)
-                yield from (
-                    _unwaited(task, s, claim) for s in lit if s.signal.lower() == claim.signal.lower()
-                )
-            continue
-        started: Step | None = None
-        waited = False
-        for step in task.steps:
-            if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
-                started, waited = step if step.value else None, False
-            elif isinstance(step, WaitStep):
-                waited |= _is_ok(step, claim)
-            elif isinstance(step, MoveStep) and started is not None:
-                if not waited and _slot(step) not in others:
-                    yield _unwaited(task, started, claim)
-                started = None
-
-
-def _slot(move: MoveStep) -> str:
-    """The key of a move's segment."""
-    return segment_of_name(move.procedure).key
-
-
-def _is_ok(step: WaitStep, claim: TrimsSheet) -> bool:
-    return (
-        step.signal.lower() == (claim.ok_signal or "").lower()
-        and step.value == 1.0
-        and not step.flag
-        and not step.again
-        and step.seconds is not None
-        and step.seconds <= claim.timeout + WAIT_ROUNDING
-    )
-
-
-def _unwaited(task: TaskText, step: Step, claim: TrimsSheet) -> Issue:
-    what = (
-        f"behind {claim.signal} the torch moves without a wait for {claim.ok_signal} of {claim.timeout:g} s "
-    )
-    return at_step("verify.trim_arc", what + "at most, which breaks off where no arc burns", task, step)
-
-
-def _guarded(context: Context, work: TrimWork, others: Collection[str]) -> Iterator[Issue]:
-    """Whether a program that goes on in the slot behind a pause watches its torch wherever that
-    moves: output and input, and that it does not stand for longer than a torch may take, but for as long as
-    it does. ``others`` as :func:`_waits` has it."""
-    claim = work.claim
-    for task in context.job.tasks:
-        if not of_task(task).watches_torch or task.arm.name != claim.arm:
-            continue
-        lit: Step | None = None
-        guard: GuardStep | None = None
-        for step in task.steps:
-            if isinstance(step, SignalStep) and step.signal.lower() == claim.signal.lower():
-                lit, guard = step if step.value else None, None
-            elif isinstance(step, GuardStep):
-                guard = step if step.on else None
-            elif isinstance(step, MoveStep) and lit is not None and _slot(step) not in others:
-                yield from _watched(task, lit, guard, work)
-                lit = None
-
-
-def _watched(task: TaskText, lit: Step, guard: GuardStep | None, work: TrimWork) -> Iterator[Issue]:
-    """What is wrong with what watches a torch that moves, from where it was ``lit`` on."""
-    claim = work.claim
-    signals = claim.signal.lower(), (claim.ok_signal or "").lower()
-    if guard is None or (guard.signal.lower(), guard.given.lower()) != signals:
-        what = (
-            f"the torch moves with {claim.signal} on, and nothing watches that it burns: behind a pause the "
-        )
-        yield at_step("verify.trim_arc", what + "program would go on in the slot", task, lit)
-        return
-    stretch = max(LINGER_KERFS * claim.kerf, LEAST_STRETCH)
-    most = LINGER * stretch / (claim.least_feed * claim.feed) + LINGER_TIME
-    stays = max((longest_stay(work.of_slot(key), guard.far) for key in work.slots), default=0.0)
-    if not stays < guard.stood <= most or guard.far < LEAST_FAR:
-        what = (
-            f"the program ends where the torch is within {mm(guard.far):g} mm for {guard.stood:g} s; wanted: "
-        )
-        what += f"{mm(LEAST_FAR):g} mm or more, and over {stays:.2f} s, to {most:.2f} s"
-        yield at_step("verify.trim_arc", what, task, guard)
 
 
 @rule("verify.trim_order", TrimsSheet)

@@ -17,7 +17,8 @@ from planner.processes.forming.plan.support.opposite import FACING_TURN, Touchin
 from planner.processes.forming.proof import state
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.rules.two_tools import _off_directions
-from planner.processes.forming.proof.state import TOUCHED_WITHIN, Track, pieces
+from planner.processes.forming.proof.state import TOUCHED_WITHIN
+from planner.processes.forming.proof.tracks import Track, pieces
 from planner.tooling import FormingHead
 from tests.processes.forming.plan.paths.path_faces import cone
 from tests.processes.forming.plan.shapes import BALL, T0, operation

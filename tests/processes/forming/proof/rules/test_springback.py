@@ -23,7 +23,7 @@ from planner.pipeline import Outcome
 from planner.processes import registry
 from planner.processes.forming.claims import ComesBack
 from planner.processes.forming.proof import elastic, released, springback_bounds, springback_file
-from planner.processes.forming.proof.rules import springback, tool, two_tools
+from planner.processes.forming.proof.rules import springback, springback_forces, tool, two_tools
 from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
 from tests import small_forming
@@ -516,7 +516,7 @@ def by_force(folder: Path, kind: str, **more: Any) -> Path:
 
 def forces_said(context: Context, one: released.Told) -> list[str]:
     """What is wrong with the forces of a file."""
-    found = (*springback._belongs(context, one), *springback._forces(context, one))
+    found = (*springback._belongs(context, one), *springback_forces.force_issues(context, one))
     return [issue.message for issue in found]
 
 
@@ -560,7 +560,8 @@ def test_another_force_than_the_stated_one_is_found(tmp_path: Path, kind: str, c
         found = Context(problem, claims, {})
         (one,) = Forming(found).told
         return [
-            issue.message for issue in (*springback._belongs(found, one), *springback._forces(found, one))
+            issue.message
+            for issue in (*springback._belongs(found, one), *springback_forces.force_issues(found, one))
         ]
 
     assert asked({}) == []
@@ -587,11 +588,12 @@ def test_a_file_of_other_forces_than_it_was_written_for_is_of_another_job(tmp_pa
     ):
         (tmp_path / "forces.csv").write_text(text)
         what = [
-            issue.message for issue in (*springback._belongs(found, one), *springback._forces(found, one))
+            issue.message
+            for issue in (*springback._belongs(found, one), *springback_forces.force_issues(found, one))
         ]
         assert any(named in message for message in what), what
     (tmp_path / "forces.csv").unlink()
-    assert any("cannot be read" in issue.message for issue in springback._forces(found, one))
+    assert any("cannot be read" in issue.message for issue in springback_forces.force_issues(found, one))
 
 
 @pytest.mark.long
