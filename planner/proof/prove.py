@@ -109,12 +109,11 @@ def _completed(problem: Problem, claims: Claims) -> tuple[Claims, tuple[Issue, .
     return claims, tuple(issues)
 
 
-def _examine_ahead(context: Context, group: str) -> Iterator[Outcome]:
-    """Examine the rules of a group one after the other, in another process."""
-    for rules in rule_table.by_stage(rule_table.rules_of(context.problem)).values():
-        for rule in rules:
-            if rule.ahead == group:
-                yield rule(context)
+def _examine_ahead(context: Context, codes: tuple[str, ...]) -> Iterator[Outcome]:
+    """Examine rules one after the other, in another process. Rules themselves cannot be sent there."""
+    rules = {rule.code: rule for rule in rule_table.rules_of(context.problem)}
+    for code in codes:
+        yield rules[code](context)
 
 
 class _Run:
@@ -126,7 +125,7 @@ class _Run:
         self.results: dict[str, RuleResult] = {}
         self.outcomes: dict[str, Outcome] = {}
         self.issues: list[Issue] = []
-        self._ahead: dict[str, Iterator[Outcome]] = {}
+        self._ahead: dict[str, Iterator[Outcome]] = {}  # by the code of the rule
 
     def steps(self) -> Iterator[None]:
         """Run the rules one after the other, and hand control back after each."""
@@ -135,7 +134,7 @@ class _Run:
                 return
             self._begin(stage)
             for rule in rules:
-                outcome = next(self._ahead[rule.ahead]) if rule.ahead in self._ahead else rule(self.context)
+                outcome = next(self._ahead[rule.code]) if rule.code in self._ahead else rule(self.context)
                 self._add(rule, outcome, stage)
                 for fact in (fact for one in self.processes for fact in one.release.get(rule.code, ())):
                     self.context.release(fact)
@@ -170,8 +169,11 @@ class _Run:
     def _submit(self, stage: Stage, groups: tuple[Ahead, ...]) -> None:
         for group in groups:
             if group.stage == stage and group.useful(self.context):
-                submitted = self.context.executor.submit(_examine_ahead, self.context, group.name)
-                self._ahead[group.name] = submitted
+                rules = (rule for some in self.rules.values() for rule in some if rule.ahead == group.name)
+                begun = {*self.results, *self._ahead}
+                codes = tuple(rule.code for rule in rules if rule.code not in begun)
+                found = self.context.executor.submit(_examine_ahead, self.context, codes)
+                self._ahead |= dict.fromkeys(codes, found)
 
     def _broken(self, *codes: str) -> bool:
         return any(code in self.results and not self.results[code].passed for code in codes)

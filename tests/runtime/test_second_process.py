@@ -22,7 +22,7 @@ from planner.issues import Issue, TandemError
 from planner.motion import solve
 from planner.pipeline import WARM_UP
 from planner.processes import registry
-from planner.proof import prove as verify_prove
+from planner.proof import context
 from planner.proof.prove import prove
 from planner.report import output
 from planner.runtime.executor import SerialExecutor
@@ -48,9 +48,11 @@ class Recorder(SecondProcess):
     def submit(self, work: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
         """Submit a call and wait for its answer, so that it runs there however busy the machine is."""
         count, call = len(self.done), super().submit(work, *arguments)
-        while len(self.done) == count:
+        for _ in range(30_000):
+            if len(self.done) > count:
+                return call
             time.sleep(0.01)
-        return call
+        pytest.fail(f"{work.__name__} was not sent, because its arguments cannot be pickled")
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +148,7 @@ def test_the_proof_is_the_same(second: Recorder, job: ModuleType, settings: dict
 def test_the_proof_of_a_long_motion_is_the_same(second: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one too long to be sent whole only the looks at clearance go, with what a ball sweeps and what is
     inside of the heads; also where more clearance is wanted than there is."""
-    monkeypatch.setattr(verify_prove, "MOST_SENT_SAMPLES", 0)
+    monkeypatch.setattr(context, "MAX_SENT_SAMPLES", 0)
     for settings in ({}, {"clearance": 0.3}):
         given = forming_job.problem(**settings), forming_job.claims(), forming_job.programs(24)
         second.done.clear()
