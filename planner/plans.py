@@ -31,6 +31,8 @@ from planner.claims.segments import Segment
 from planner.files import write_whole
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue, TandemError
+from planner.runtime import plugins
+from planner.runtime.plugins import Process
 from planner.targets import Targets
 from planner.tooling import Cutter
 
@@ -183,9 +185,9 @@ def _held(kinds: Iterable[Any], known: dict[str, type]) -> dict[str, type]:
 def _values() -> dict[str, type]:
     """Return the classes of values that plans hold, by name.
 
-    Claims are those of all processes that have been imported. Cutters are in exhibits, whose fields have no
-    types.
+    Claims are those of all installed processes. Cutters are in exhibits, whose fields have no types.
     """
+    plugins.loadable(Process, "claims", tuple)  # imports them
     return _values_with(claim.kinds())
 
 

@@ -144,7 +144,7 @@ _KINDS: Final[dict[str, type[Claim]]] = {}
 def kinds() -> tuple[type[Claim], ...]:
     """Return all kinds of claims whose modules have been imported, in the order of their definition.
 
-    The registry of processes imports the claims of all processes.
+    Reading a problem and loading a plan import the claims of all processes.
     """
     return tuple(_KINDS.values())
 

@@ -12,6 +12,7 @@ plug-in, its object is a :class:`Process` or a :class:`Language`.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping
@@ -33,7 +34,7 @@ class Process:
             and the method ``leaves(stock)``, which returns the stock as the next operation finds it.
         job: Subclass of :class:`planner.targets.Job`: its targets, and the claims that must hold.
         claims: Tuple of the kinds of claims that only this process makes.
-        codes: Mapping of issue codes to :class:`planner.issue_codes.Code`.
+        codes: Dictionary of issue codes and their :class:`planner.issue_codes.Code`.
         proof: :class:`planner.proof.contribution.ProofOfProcess`: facts and rules.
         report: :class:`planner.report.contribution.ReportOfProcess`: key figures, charts, setup sheet.
         wider: :data:`planner.reading.size_advice.Wider`: how much larger an opening that was refused must be.
@@ -61,7 +62,7 @@ class Language:
         other_endings: Endings of other text files of the language, such as lists of programs.
         utf_8: Endings of files that the controller reads as UTF-8 without byte order mark.
         comment: Sign that begins a comment.
-        codes: Mapping of issue codes to :class:`planner.issue_codes.Code`.
+        codes: Dictionary of issue codes and their :class:`planner.issue_codes.Code`.
         reader: :class:`planner.programs.language.Reader`: reads programs.
         writer: :class:`planner.languages.writing.language.Writer`: refuses jobs, and writes programs.
         proof: :class:`planner.proof.language_contribution.ProofOfLanguage`: rules about the text.
@@ -205,4 +206,41 @@ def parts(kind: type[Plugin], member: str, part: type[T], names: frozenset[str] 
         wanted = is_built_in(kind, name) or names is None or name in names
         if reference is not None and reference not in seen and wanted:
             seen.add(reference)
-            yield load(reference, part)
+            yield part_of(kind, name, member, part)
+
+
+def part_of(kind: type[Plugin], name: str, member: str, part: type[T]) -> T:
+    """Load one part of a plug-in that has it.
+
+    Args:
+        kind: :class:`Process` or :class:`Language`.
+        name: Name of a plug-in that can be used.
+        member: Name of the part, such as ``"proof"``.
+        part: Type of the part.
+
+    Raises:
+        PluginError: The part cannot be loaded. Here the message is a sentence without full stop.
+    """
+    found = installed(kind)[name]  # type: ignore[arg-type]
+    try:
+        return load(getattr(found.plugin, member), part)
+    except PluginError as error:
+        what = f"the {member} of the {kind.__name__.lower()} {name!r} of {found.owner} {error}"
+        raise PluginError(f"{what}; mend or uninstall {found.owner}") from error
+
+
+@functools.cache
+def loadable(kind: type[Plugin], member: str, part: type[T]) -> Mapping[str, T]:
+    """Load one part of every plug-in, by name, and leave out parts that are missing or cannot be loaded.
+
+    Args:
+        kind: :class:`Process` or :class:`Language`.
+        member: Name of the part, such as ``"codes"``.
+        part: Type of the part.
+    """
+    out = {}
+    for name, plugin in usable(kind).items():
+        if getattr(plugin, member) is not None:
+            with contextlib.suppress(PluginError):
+                out[name] = part_of(kind, name, member, part)
+    return out
