@@ -1,6 +1,7 @@
 """Every issue code with its meaning: the one table that code, tests, ``tandem issues`` and the docs share.
 
-A code is ``room.what``; it is stable once released.
+A code is ``room.what``; it is stable once released. Plug-ins of other packages bring rows of their own
+(:func:`all_codes`).
 """
 
 from __future__ import annotations
@@ -807,15 +808,38 @@ CODES: Final[dict[str, Code]] = {
 }
 
 
-def register(codes: Mapping[str, Code]) -> None:
-    """Add the codes of a plug-in. Registering the same codes again changes nothing.
+def all_codes() -> Mapping[str, Code]:
+    """Return the rows of Tandem and of all installed plug-ins by code."""
+    out = dict(CODES)
+    for rows in _of_plugins().values():
+        out |= {code: row for code, row in rows.items() if code not in out}
+    return out
 
-    Args:
-        codes: Rows by code.
+
+def row(code: str) -> Code:
+    """Return the row of a code. Plug-ins are imported only for codes that are not Tandem's.
 
     Raises:
-        ValueError: A code is taken by another plug-in, or by Tandem.
+        KeyError: Neither Tandem nor a plug-in states the code.
     """
-    for code, row in codes.items():
-        if CODES.setdefault(code, row) is not row:
-            raise ValueError(f"states the issue code {code}, which is taken")
+    found = CODES.get(code) or all_codes().get(code)
+    if found is None:
+        raise KeyError(f"issue code {code!r} is not in planner/issue_codes.py; declare it there")
+    return found
+
+
+def owners(code: str) -> frozenset[str]:
+    """Return who states a code: "Tandem", and packages such as "package ring-gauge"."""
+    others = {owner for owner, rows in _of_plugins().items() if code in rows}
+    return frozenset({"Tandem", *others} if code in CODES else others)
+
+
+def _of_plugins() -> Mapping[str, Mapping[str, Code]]:
+    """Rows by owner. The registry of processes refuses a plug-in whose rows cannot be loaded."""
+    from planner.runtime import plugins  # imports importlib.metadata, which `tandem --help` does without
+
+    out: dict[str, dict[str, Code]] = {}
+    for kind in (plugins.Process, plugins.Language):
+        for name, rows in plugins.loadable(kind, "codes", dict).items():
+            out.setdefault(plugins.installed(kind)[name].owner, {}).update(rows)
+    return out

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Sequence
 from enum import StrEnum
 from typing import Any, Literal
 
-from planner.issue_codes import CODES
+from planner.issue_codes import row
 
 
 class Severity(StrEnum):
@@ -48,7 +48,7 @@ class Issue:
     ``remedy`` is what the hint says as data, where a change was tried.
     ``accepted`` is of what is an error unless the problem accepts it by name: False until that is looked at
     (:func:`judged`), True where the problem does.
-    Raises ``KeyError`` when ``code`` is not in the table of codes.
+    Raises ``KeyError`` when ``code`` is not in the table of codes (:func:`planner.issue_codes.row`).
     """
 
     code: str
@@ -71,8 +71,7 @@ class Issue:
     accepted: bool | None = None
 
     def __post_init__(self) -> None:
-        if self.code not in CODES:
-            raise KeyError(f"issue code {self.code!r} is not in planner/issue_codes.py; declare it there")
+        row(self.code)
 
     def to_dict(self) -> dict[str, Any]:
         """The issue as plain data for JSON, without the fields that are unset."""
@@ -127,7 +126,7 @@ def judged(issues: Iterable[Issue], accept: Collection[str]) -> tuple[Issue, ...
 def _judge(issue: Issue, accept: Collection[str]) -> Issue:
     if issue.accepted is None:
         return issue
-    if not CODES[issue.code].accepts:
+    if not row(issue.code).accepts:
         raise ValueError(f"{issue.code} is not in the table of what a problem may accept")
     if issue.code in accept:
         return dataclasses.replace(issue, severity=Severity.WARNING, accepted=True)
@@ -175,10 +174,10 @@ def _excess(issue: Issue) -> float:
 
 def given_wrong(issues: Iterable[Issue]) -> bool:
     """Whether all errors are faults of what was given (exit code 2), not of what is feasible (3)."""
-    return all(CODES[issue.code].given for issue in issues if issue.severity is Severity.ERROR)
+    return all(row(issue.code).given for issue in issues if issue.severity is Severity.ERROR)
 
 
 def with_remedy(issue: Issue) -> Issue:
     """The issue with what its code says to do, where it does not say so itself."""
-    remedy = CODES[issue.code].remedy
+    remedy = row(issue.code).remedy
     return issue if issue.hint or remedy is None else dataclasses.replace(issue, hint=remedy)

@@ -504,10 +504,10 @@ def restore(request: tyro.conf.OmitArgPrefixes[service_commands.Restore]) -> int
 @app.command
 def issues() -> int:
     """List every issue code with its meaning, and what a problem may accept."""
-    from planner.issue_codes import CODES
+    from planner.issue_codes import all_codes
 
     table = Table("code", "meaning")
-    for code, row in CODES.items():
+    for code, row in all_codes().items():
         may = " (may be accepted)" if row.accepts else ""
         table.add_row(code, row.meaning + may)
     out.print(table)

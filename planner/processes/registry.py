@@ -7,6 +7,7 @@ for that is imported where a problem first asks for it. For the plug-in point se
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -39,25 +40,46 @@ def _examined(name: str, found: Found) -> Process | Issue:
     if not isinstance(process, Process):
         return Issue("problem.process_package", found.fault)
     try:
-        if process.codes is not None:
-            issue_codes.register(plugins.load(process.codes, dict))
-        if process.claims is not None:
-            plugins.load(process.claims, tuple)
-        lacking = _lacking(plugins.load(process.schema, type))
-        if lacking:
-            raise PluginError(f"has a schema without {', '.join(lacking)}, which every operation has")
-    except (PluginError, ValueError) as error:
-        what = f"the process {name!r} of {found.owner} {error}; mend or uninstall {found.owner}"
+        fault = (
+            (_fault_of_codes(name, found.owner) if process.codes is not None else "")
+            or (_fault_of_claims(name) if process.claims is not None else "")
+            or _fault_of_schema(plugins.part_of(Process, name, "schema", type))
+        )
+    except PluginError as error:
+        return Issue("problem.process_package", str(error))
+    if fault:
+        what = f"the process {name!r} of {found.owner} {fault}; mend or uninstall {found.owner}"
         return Issue("problem.process_package", what)
     return process
 
 
-def _lacking(schema: type) -> list[str]:
-    """Name what a schema lacks of an operation."""
+def _fault_of_codes(name: str, owner: str) -> str:
+    """Say what is wrong with the issue codes of a process."""
+    codes = plugins.part_of(Process, name, "codes", dict)
+    for code, row in codes.items():
+        if not isinstance(row, issue_codes.Code):
+            return f"states the issue code {code!r} as {type(row).__name__}, not planner.issue_codes.Code"
+        others = sorted(issue_codes.owners(code) - {owner})
+        if others:
+            return f"states the issue code {code}, as {' and '.join(others)} does"
+    return ""
+
+
+def _fault_of_claims(name: str) -> str:
+    """Say what is wrong with the kinds of claims of a process."""
+    for kind in plugins.part_of(Process, name, "claims", tuple):
+        if not (isinstance(kind, type) and issubclass(kind, Claim) and dataclasses.is_dataclass(kind)):
+            return f"lists {kind!r} among its claims, which is no dataclass that inherits from Claim"
+    return ""
+
+
+def _fault_of_schema(schema: type) -> str:
+    """Say what a schema lacks of an operation."""
     if not issubclass(schema, BaseModel):
-        raise PluginError(f"has the schema {schema.__name__}, which is no pydantic model")
+        return f"has the schema {schema.__name__}, which is no pydantic model"
     lacking = [name for name in ("name", "process", "arms") if name not in schema.model_fields]
-    return lacking + ([] if callable(getattr(schema, "leaves", None)) else ["leaves()"])
+    lacking += [] if callable(getattr(schema, "leaves", None)) else ["leaves()"]
+    return f"has a schema without {', '.join(lacking)}, which every operation has" if lacking else ""
 
 
 def _schema(process: Process) -> type[BaseModel]:

@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, mod
 from planner.catalogue.robots import bundled
 from planner.files import carried_name, each_file, is_file
 from planner.geometry.units import DEG, MM
-from planner.issue_codes import CODES
+from planner.issue_codes import all_codes
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
 from planner.reading import axes, controller, grip_choice, loads, materials, rails, strict_yaml
@@ -156,7 +156,7 @@ class SettingsFile(Strict):
 
 
 def _acceptable(code: str) -> str:
-    acceptable = sorted(name for name, row in CODES.items() if row.accepts)
+    acceptable = sorted(name for name, row in all_codes().items() if row.accepts)
     if code not in acceptable:
         raise ValueError(f"this cannot be accepted; what can be is {', '.join(acceptable)}")
     return code

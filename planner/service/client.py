@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from planner import pipeline, plans, spec
 from planner.files import PAGES, RESULT, write_folder
-from planner.issue_codes import CODES
+from planner.issue_codes import all_codes
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
@@ -105,7 +105,7 @@ class Client(tandem_client.Client):
     def _issue(self, data: Mapping[str, Any]) -> Issue:
         """An issue as this version has it: what a newer service has besides is left out."""
         known = {name: value for name, value in data.items() if name in FIELDS}
-        if known["code"] not in CODES:
+        if known["code"] not in all_codes():
             known |= {"code": "service.answer", "message": f"[{data['code']}] {data['message']}"}
         return Issue.from_dict(known)
 

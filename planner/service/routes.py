@@ -26,7 +26,7 @@ from pydantic import AfterValidator, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from planner.files import RELEASE, THUMBNAIL
-from planner.issue_codes import CODES
+from planner.issue_codes import all_codes
 from planner.issues import Issue, has_errors
 from planner.runtime import plugins
 from planner.runtime.plugins import Language
@@ -391,7 +391,7 @@ def catalogue_of(kind: Kind, owner: Caller) -> Catalogue:
 def issue_codes(owner: Caller) -> dict[str, str]:
     """Every code with its meaning."""
     del owner
-    return {code: row.meaning for code, row in CODES.items()}
+    return {code: row.meaning for code, row in all_codes().items()}
 
 
 @about_router.get("/v1/storage", responses=ASKED, summary="Room for files")
