@@ -156,8 +156,9 @@ def _read(document: Document) -> Problem:
 def _wider(document: Document, depth: float, rounded: bool) -> float:
     """By how much [mm] an opening must be wider for tools that reach ``depth`` [mm] into its clamp: the most
     that a process states."""
-    named = frozenset(operation["process"] for operation in document.data["operations"])
-    found = plugins.parts(Process, "wider", FunctionType, named)
+    named = {operation["process"] for operation in document.data["operations"]}
+    known = plugins.loadable(Process, "wider", FunctionType).items()
+    found = (one for name, one in known if name in named or plugins.is_built_in(Process, name))
     return max((float(one(depth, rounded)) for one in found), default=0.0)
 
 
@@ -258,12 +259,13 @@ def _planned(
     from planner.languages.writing import write
     from planner.motion import sag, solve
     from planner.proof import prove
-    from planner.report import output
+    from planner.report import contribution, output
 
+    contribution.of_processes(problem)  # refuses a package that cannot report before any work
     jobs = processes.jobs(problem)
     targets = targets_of(problem, jobs)
     claims = processes.claims(problem, jobs)
-    refused = [*write.refusals(problem, targets), *prove.unproven(claims)]
+    refused = [*write.refusals(problem, targets), *prove.unproven(claims, problem)]
     if refused:
         raise TandemError(refused)
     made = solve.solve(problem, targets, tell, executor, before)

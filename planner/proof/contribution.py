@@ -82,15 +82,13 @@ def of_processes(problem: Problem | None = None) -> tuple[ProofOfProcess, ...]:
     """Return the contributions of Tandem's processes, and of the other processes that a problem uses.
 
     Raises:
-        TandemError: The contribution of an installed package cannot be imported
-            (``problem.process_package``).
+        TandemError: The contribution of an installed package cannot be loaded (``problem.process_package``).
     """
     used = frozenset(operation.process for operation in problem.operations) if problem else frozenset[str]()
     try:
         return tuple(plugins.parts(Process, "proof", ProofOfProcess, used))
     except PluginError as error:
-        what = f"the proof of a process {error}; mend or uninstall its package"
-        raise TandemError(Issue("problem.process_package", what)) from error
+        raise TandemError(Issue("problem.process_package", str(error))) from error
 
 
 NO_EDGES: Final = frozenset[str]()

@@ -15,6 +15,12 @@ from typing import Final, Literal
 Stage = Literal[
     "text", "robots", "tasks", "setups", "curves", "motion", "sheets", "cutters", "slots", "wires", "bodies"
 ]
+"""Stages in their order.
+
+From "tasks" on, the programs of all arms can be read. From "setups" on, tasks pass the same synchronisation
+points. From "curves" on, a motion follows from the programs (``context.motion``). From "sheets" on, arms
+reach all targets of it.
+"""
 
 ORDER: Final[Mapping[Stage, tuple[str, ...]]] = {
     "text": (

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
+from planner import issue_codes
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
 from planner.proof.contribution import Ahead, of_processes
@@ -60,10 +61,35 @@ BODIES: Final = Ahead("bodies", "sheets", lambda context: not context.long)
 
 
 def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
-    """Return all rules that may apply to a problem, in no order."""
-    own = (rule for one in of_processes(problem) for rule in one.rules)
-    texts = (rule for one in of_languages(problem) for rule in one.rules)
-    return tuple(dict.fromkeys((*GENERAL, *texts, *own)))
+    """Return all rules that may apply to a problem: Tandem's, then those of the packages that it uses.
+
+    Raises:
+        TandemError: A rule of an installed package cannot be used (``problem.process_package`` for a process,
+            ``post.language`` for a language).
+    """
+    known = (rule for one in (*of_languages(), *of_processes()) for rule in one.rules)
+    rules = dict.fromkeys((*GENERAL, *known))
+    taken = {rule.code for rule in rules}
+    for code, parts in (
+        ("post.language", of_languages(problem)),
+        ("problem.process_package", of_processes(problem)),
+    ):
+        for rule in (rule for one in parts for rule in one.rules if rule not in rules):
+            if fault := _fault(rule, taken):
+                what = f"the rule {rule.code} of {rule.examine.__module__} {fault}"
+                raise TandemError(Issue(code, f"{what}; mend or uninstall its package"))
+            rules[rule] = None
+            taken.add(rule.code)
+    return tuple(rules)
+
+
+def _fault(rule: Rule, taken: Collection[str]) -> str:
+    """Say why a rule of an installed package cannot be used."""
+    if rule.code in taken:
+        return "has the code of another rule"
+    if issue_codes.owners(rule.code) in (frozenset(), {"Tandem"}):
+        return "has no row among the issue codes of its package"
+    return "" if rule.stage in ORDER else f"has the stage {rule.stage!r}; stages are {', '.join(ORDER)}"
 
 
 def by_stage(rules: Iterable[Rule]) -> Mapping[Stage, tuple[Rule, ...]]:

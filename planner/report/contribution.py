@@ -12,13 +12,14 @@ from typing import Any
 
 from planner.claims.claim import Claim
 from planner.geometry.arrays import FloatArray
+from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem, Setup, torch_signals
 from planner.proof.verdict import CutFace, Proof
 from planner.report.charts import FaceWords, Level, Line, Rulings
 from planner.report.markup import Phrase, Tile
 from planner.runtime import plugins
-from planner.runtime.plugins import Language, Process
+from planner.runtime.plugins import Language, PluginError, Process
 
 Row = tuple[Phrase, Phrase]
 """A name and its value."""
@@ -104,10 +105,17 @@ class ReportOfProcess:
 
 
 def of_processes(problem: Problem) -> tuple[ReportOfProcess, ...]:
-    """Return what the processes of a problem add, in the order of the plug-ins."""
+    """Return what the processes of a problem add, in the order of the plug-ins.
+
+    Raises:
+        TandemError: The contribution of an installed package cannot be loaded (``problem.process_package``).
+    """
     used = {operation.process for operation in problem.operations}
-    found = {p.report: None for name, p in plugins.usable(Process).items() if name in used and p.report}
-    return tuple(plugins.load(reference, ReportOfProcess) for reference in found)
+    found = {p.report: name for name, p in plugins.usable(Process).items() if name in used and p.report}
+    try:
+        return tuple(plugins.part_of(Process, name, "report", ReportOfProcess) for name in found.values())
+    except PluginError as error:
+        raise TandemError(Issue("problem.process_package", str(error))) from error
 
 
 def face_words(problem: Problem, face: CutFace) -> FaceWords:
