@@ -1,63 +1,27 @@
-"""Processes that installed packages add by entry points: found, planned and proven, or refused by name."""
+"""Processes of installed packages that cannot be used are refused by name, and stop no other problem."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from planner import pipeline
-from planner.issues import TandemError
+from planner.issues import Issue, TandemError
 from planner.processes import registry
-from planner.runtime import plugins
 from tests import small_problem
+from tests.toys.installation import forget, install, problem
 
-RING = "{name: ring, process: ring, arms: [left], radius_mm: 40, height_mm: 300, feed_mm_s: 20}"
+GAUGE = "ring = tests.toys.gauge:PROCESS"
+VARIANTS = "ring = tests.toys.variants:"
 
 
 @pytest.fixture(autouse=True)
 def _found_anew() -> Iterator[None]:
-    _forget()
+    forget()
     yield
-    _forget()
-
-
-def _forget() -> None:
-    registry.all_processes.cache_clear()
-    plugins.installed.cache_clear()
-
-
-def install(path: pytest.MonkeyPatch, folder: Path, package: str, *points: str) -> None:
-    """As pip would: what a package says of itself, in a folder of the path."""
-    info = folder / package / f"{package}-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("\n".join(["[tandem.processes]", *points]) + "\n")
-    path.syspath_prepend(folder / package)
-
-
-def problem(folder: Path, operation: str = RING) -> Path:
-    """One arm above a block that hangs, with that operation."""
-    head, _ = small_problem.PROBLEM.split("operations:")
-    return small_problem.write(folder, f"{head}accept: [stock.hangs]\noperations:\n  - {operation}\n")
-
-
-def test_a_process_of_another_package_is_planned_and_proven(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install(monkeypatch, tmp_path, "ring-gauge", "ring = tests.toy_process:PROCESS")
-    outcome = pipeline.plan(pipeline.load(problem(tmp_path)))
-    assert outcome.verified, outcome.issues
-    assert outcome.proof is not None
-    (follows,) = [rule for rule in outcome.proof.rules if rule.code == "verify.follows"]
-    assert follows.passed and follows.worst is not None
-    # the proof holds its claims: of a circle 0.3 mm larger the same programs are not
-    (ring,) = outcome.problem.operations
-    larger = dataclasses.replace(outcome.problem, operations=(ring.model_copy(update={"radius_mm": 40.3}),))
-    found = pipeline.verify(larger, outcome.programs)
-    assert "verify.follows" in {issue.code for issue in found.issues}
+    forget()
 
 
 def refused(path: Path) -> str:
@@ -73,9 +37,13 @@ def refused(path: Path) -> str:
     ("point", "said"),
     [
         ("ring = no_such_module_at_all:PROCESS", "ModuleNotFoundError"),
-        ("ring = tests.toy_process:NOTHING", "AttributeError"),
-        ("ring = tests.toy_process:Ring", "not planner.runtime.plugins.Process"),
-        ("ring = tests.toy_process:UNFINISHED", "has a schema without arms, leaves()"),
+        ("ring = tests.toys.gauge:NOTHING", "AttributeError"),
+        ("ring = tests.toys.gauge.operation:Ring", "not planner.runtime.plugins.Process"),
+        (f"{VARIANTS}UNFINISHED", "has a schema without arms, leaves()"),
+        (f"{VARIANTS}NO_KIND", "NoClaim'> among its claims, which is no dataclass that inherits from Claim"),
+        (f"{VARIANTS}MISSING_CODES", "the codes of the process 'ring' of package broken-gauge cannot be im"),
+        (f"{VARIANTS}NO_ROWS", "states the issue code 'ring.above' as str, not planner.issue_codes.Code"),
+        (f"{VARIANTS}TANDEMS_CODE", "states the issue code verify.reach, as Tandem does"),
     ],
 )
 def test_what_cannot_be_used_is_refused_where_a_problem_names_it(
@@ -89,14 +57,25 @@ def test_what_cannot_be_used_is_refused_where_a_problem_names_it(
 
 
 def test_a_name_that_is_claimed_twice_is_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    install(monkeypatch, tmp_path, "one-gauge", "ring = tests.toy_process:PROCESS")
-    install(monkeypatch, tmp_path, "two-gauge", "ring = tests.toy_process:PROCESS")
+    install(monkeypatch, tmp_path, "one-gauge", GAUGE)
+    install(monkeypatch, tmp_path, "two-gauge", GAUGE)
     message = refused(problem(tmp_path))
     assert "package one-gauge" in message and "package two-gauge" in message
 
 
+def test_an_issue_code_of_two_packages_is_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, tmp_path, "one-gauge", GAUGE)
+    install(monkeypatch, tmp_path, "two-gauge", "disc = tests.toys.variants:SAME_CODES")
+    for name, own, other in (("ring", "one", "two"), ("disc", "two", "one")):
+        issue = registry.all_processes()[name]
+        assert isinstance(issue, Issue)
+        what = f"the process '{name}' of package {own}-gauge states the issue code ring.above, as package "
+        assert issue.message == f"{what}{other}-gauge does; mend or uninstall package {own}-gauge"
+    assert "states the issue code ring.above" in refused(problem(tmp_path))
+
+
 def test_a_name_that_is_built_in_cannot_be_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    install(monkeypatch, tmp_path, "my-targets", "targets = tests.toy_process:PROCESS")
+    install(monkeypatch, tmp_path, "my-targets", "targets = tests.toys.gauge:PROCESS")
     message = refused(small_problem.write(tmp_path))
     assert "'targets' is claimed by Tandem and by package my-targets" in message
 
@@ -104,3 +83,48 @@ def test_a_name_that_is_built_in_cannot_be_taken(tmp_path: Path, monkeypatch: py
 def test_without_the_package_the_name_is_unknown(tmp_path: Path) -> None:
     with pytest.raises(TandemError, match="known are elastic_wire, forming"):
         pipeline.load(problem(tmp_path))
+
+
+def not_planned(path: Path) -> Issue:
+    """What refuses a problem that is read, before motion."""
+    with pytest.raises(TandemError) as caught:
+        pipeline.plan(pipeline.load(path))
+    (issue,) = caught.value.issues
+    return issue
+
+
+def test_a_claim_without_a_rule_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, tmp_path, "ring-gauge", f"{VARIANTS}UNPROVEN")
+    issue = not_planned(problem(tmp_path))
+    assert issue.code == "claims.unproven"
+    assert "ring: its process claims KeepsAbove, which no rule of the proof looks at" in issue.message
+
+
+@pytest.mark.parametrize(
+    ("variant", "said"),
+    [
+        ("NO_PROOF", "the proof of the process 'ring' of package ring-gauge cannot be imported"),
+        ("BARE_RULE", "ring.bare of tests.toys.gauge.proof has no row among the issue codes of its package"),
+        (
+            "BORROWED_CODE",
+            "the rule verify.unread of tests.toys.gauge.proof has no row among the issue codes",
+        ),
+        ("SECOND_RULE", "the rule verify.follows of tests.toys.gauge.proof has the code of another rule"),
+        ("NO_STAGE", "has the stage 'someday'; stages are text, robots, tasks, setups, curves, motion, "),
+    ],
+)
+def test_rules_that_cannot_be_used_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str, said: str
+) -> None:
+    """A rule that never runs would leave its claims unproven, and nobody would notice."""
+    install(monkeypatch, tmp_path, "ring-gauge", f"{VARIANTS}{variant}")
+    issue = not_planned(problem(tmp_path))
+    assert issue.code == "problem.process_package"
+    assert said in issue.message and "uninstall" in issue.message
+
+
+def test_a_report_that_cannot_be_used_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch, tmp_path, "ring-gauge", f"{VARIANTS}NO_REPORT")
+    issue = not_planned(problem(tmp_path))
+    assert issue.code == "problem.process_package"
+    assert "the report of the process 'ring' of package ring-gauge is tuple, not planner" in issue.message

@@ -1,0 +1,1 @@
+"""Packages as others would write them: what they bring is found by entry points."""
