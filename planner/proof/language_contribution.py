@@ -199,7 +199,7 @@ def of_languages(problem: Problem | None = None) -> tuple[ProofOfLanguage, ...]:
     """Return the contributions of Tandem's languages, and of the other languages that a problem uses.
 
     Raises:
-        TandemError: The contribution of an installed package cannot be imported (``post.language``).
+        TandemError: The contribution of an installed package cannot be loaded (``post.language``).
     """
     families = {arm.data.family for arm in problem.cell.arms} if problem else set[str]()
     used = frozenset(
@@ -208,5 +208,4 @@ def of_languages(problem: Problem | None = None) -> tuple[ProofOfLanguage, ...]:
     try:
         return tuple(plugins.parts(Language, "proof", ProofOfLanguage, used))
     except PluginError as error:
-        what = f"the proof of a language {error}; mend or uninstall its package"
-        raise TandemError(Issue("post.language", what)) from error
+        raise TandemError(Issue("post.language", str(error))) from error

@@ -9,8 +9,8 @@ from typing import Final
 from planner import issue_codes
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
-from planner.proof.contribution import Ahead, of_processes
-from planner.proof.language_contribution import of_languages
+from planner.proof.contribution import Ahead, ProofOfProcess, of_processes
+from planner.proof.language_contribution import ProofOfLanguage, of_languages
 from planner.proof.rule import Rule
 from planner.proof.rule_order import ORDER, Stage
 from planner.proof.rules import (
@@ -67,20 +67,21 @@ def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
         TandemError: A rule of an installed package cannot be used (``problem.process_package`` for a process,
             ``post.language`` for a language).
     """
-    known = (rule for one in (*of_languages(), *of_processes()) for rule in one.rules)
-    rules = dict.fromkeys((*GENERAL, *known))
+    rules = dict.fromkeys((*GENERAL, *_rules(of_languages()), *_rules(of_processes())))
     taken = {rule.code for rule in rules}
-    for code, parts in (
-        ("post.language", of_languages(problem)),
-        ("problem.process_package", of_processes(problem)),
-    ):
-        for rule in (rule for one in parts for rule in one.rules if rule not in rules):
+    texts, own = _rules(of_languages(problem)), _rules(of_processes(problem))
+    for refusal, some in (("post.language", texts), ("problem.process_package", own)):
+        for rule in (rule for rule in some if rule not in rules):
             if fault := _fault(rule, taken):
                 what = f"the rule {rule.code} of {rule.examine.__module__} {fault}"
-                raise TandemError(Issue(code, f"{what}; mend or uninstall its package"))
+                raise TandemError(Issue(refusal, f"{what}; mend or uninstall its package"))
             rules[rule] = None
             taken.add(rule.code)
     return tuple(rules)
+
+
+def _rules(parts: Iterable[ProofOfLanguage | ProofOfProcess]) -> list[Rule]:
+    return [rule for one in parts for rule in one.rules]
 
 
 def _fault(rule: Rule, taken: Collection[str]) -> str:
