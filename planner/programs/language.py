@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from planner.issues import Issue, TandemError
 from planner.problem import Arm, Problem
 from planner.programs.program_text import ProgramText
 from planner.programs.stages import TaskText
@@ -116,7 +117,7 @@ def reader_of(arm: Arm) -> Reader | None:
     """Return the reader of the language of an arm, None if there is none.
 
     Raises:
-        plugins.PluginError: The reader cannot be loaded.
+        TandemError: The reader cannot be loaded (``post.language``).
     """
     language = language_of(arm)
     return None if language is None else _load(language)
@@ -124,4 +125,8 @@ def reader_of(arm: Arm) -> Reader | None:
 
 @functools.cache
 def _load(language: Language) -> Reader:
-    return plugins.load(language.reader, Reader)
+    try:
+        return plugins.load(language.reader, Reader)
+    except plugins.PluginError as error:
+        what = f"the reader of {language.title} {error}; mend or uninstall its package"
+        raise TandemError(Issue("post.language", what)) from error
