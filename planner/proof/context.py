@@ -44,6 +44,7 @@ class Context:
     """One proof. Everything is worked out once, when first asked for.
 
     Attributes:
+        given: The problem as it was given. In ``problem`` axes stand where the programs have them.
         executor: Runs independent work.
         kept: What is kept between proofs of the same claims, by name.
     """
@@ -56,7 +57,7 @@ class Context:
         unread: tuple[Issue, ...] = (),
         untold: tuple[Issue, ...] = (),
     ) -> None:
-        self.problem = problem
+        self.problem = self.given = problem
         self.programs = programs
         self.by_operation = claims
         self.unread = unread
@@ -85,7 +86,7 @@ class Context:
             self.unread,
             self.untold,
         )
-        out.executor, out.kept = self.executor, self.kept
+        out.given, out.executor, out.kept = self.given, self.executor, self.kept
         out._facts = self._facts.lasting()
         if "job" in vars(self):
             vars(out)["job"] = self.job

@@ -47,7 +47,7 @@ def cell_models(problem: Problem, standing: Standing, kept: dict[str, Any] | Non
     them.
 
     Args:
-        problem: Problem of the cell.
+        problem: Problem as it was given, from whose stations the axes are moved.
         standing: Where the programs have what stands still.
         kept: Models that were built before. It is filled.
     """
@@ -70,7 +70,7 @@ def cell_models(problem: Problem, standing: Standing, kept: dict[str, Any] | Non
 
 
 def _of_context(context: Context) -> Models:
-    return cell_models(context.problem, Standing.of(context), context.kept)
+    return cell_models(context.given, Standing.of(context), context.kept)
 
 
 MODELS: Final[Fact[Context, Models]] = Fact("models", _of_context)

@@ -141,15 +141,17 @@ LOOKS: Final[Fact[Context, Looked]] = Fact("looks", _looked)
 """The looks of both rules, ``verify.clearance`` first."""
 
 
-def _measured_there(problem: Problem, standing: Standing, some: Sequence[Looks]) -> Iterator[Measured | None]:
-    yield from measured(cell_models(problem, standing), some, problem.settings)
+def _measured_there(
+    given: Problem, standing: Standing, some: Sequence[Looks], settings: Settings
+) -> Iterator[Measured | None]:
+    yield from measured(cell_models(given, standing), some, settings)
 
 
 def begin_looks(context: Context) -> Looked:
     """Begin to measure in another process, which gets only the samples of the looks and not the motion."""
     some = looks(context)
-    submitted = context.executor.submit(_measured_there, context.problem, Standing.of(context), some)
-    return some, submitted
+    arguments = context.given, Standing.of(context), some, context.problem.settings
+    return some, context.executor.submit(_measured_there, *arguments)
 
 
 @rule("verify.clearance", ahead="bodies")

@@ -14,6 +14,7 @@ from planner.claims.claim import OneOf
 from planner.languages.writing import write
 from planner.motion import solve
 from planner.processes import registry
+from planner.processes.hotwire.claims import WireJoins
 from planner.proof.context import Context
 from planner.proof.dialogue import chosen_groups
 from planner.proof.prove import Prover
@@ -97,10 +98,10 @@ def test_the_proof_is_of_the_wire_that_the_operator_is_told_to_mount():
     assert [type(claim) for claim in context.claims] == [OneOf]
     told = chosen_groups(context)
     assert told.untold == ()
-    assert [wire.length for wire in told.wires] == [pytest.approx(small_job.LENGTH)]
+    assert [wire.length for wire in told.of(WireJoins)] == [pytest.approx(small_job.LENGTH)]
     longer = edit(programs, COLD, "513.2 mm")
     told = chosen_groups(Context(small_job.problem(), dialogue_job.choice_claims(), longer))
-    assert [wire.length for wire in told.wires] == [pytest.approx(small_job.LENGTH + 0.02)]
+    assert [wire.length for wire in told.of(WireJoins)] == [pytest.approx(small_job.LENGTH + 0.02)]
     assert [issue.code for issue in faults("choice", longer)] == [CODE]  # it is locked at another length
 
 

@@ -14,7 +14,7 @@ from planner.processes.forming.plan.paths.contact_path import make_path
 from planner.processes.forming.plan.paths.spiral import PathOptions
 from planner.processes.forming.plan.support.modes import tool_path
 from planner.processes.forming.plan.support.opposite import FACING_TURN, Touching, opposite_path
-from planner.processes.forming.proof import state
+from planner.processes.forming.proof import tracks
 from planner.processes.forming.proof.face import Face
 from planner.processes.forming.proof.rules.two_tools import _off_directions
 from planner.processes.forming.proof.state import TOUCHED_WITHIN
@@ -365,7 +365,7 @@ def test_a_track_is_the_same_in_pieces_however_many_samples_are_worked_out_at_on
     way = dataclasses.replace(way, joined=joined)
     whole = pieces(way, 1e-5)
     for count in (1, 2, 7, 64):
-        monkeypatch.setattr(state, "SAMPLES_AT_ONCE", count)
+        monkeypatch.setattr(tracks, "SAMPLES_AT_ONCE", count)
         parts = pieces(way, 1e-5)
         for field in dataclasses.fields(whole):
             assert np.array_equal(getattr(parts, field.name), getattr(whole, field.name)), field.name
