@@ -23,6 +23,7 @@ from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.processes import registry
 from planner.processes.forming.proof.rules import springback
+from planner.processes.forming.proof.state import FORMING
 from planner.proof.context import Context
 from planner.shopfloor.scan import cloud
 from tests import small_forming
@@ -144,6 +145,7 @@ def beside(context: Context) -> Iterator[tuple[Path, Path]]:
 
 
 def messages(context: Context) -> list[str]:
+    context.release(FORMING)  # which has read the files
     return [issue.message for issue in springback.springback(context).issues]
 
 

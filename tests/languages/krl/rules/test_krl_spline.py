@@ -14,7 +14,7 @@ from planner.issues import TandemError
 from planner.languages.krl.writer import spline_blocks
 from planner.languages.writing import write
 from planner.processes import registry
-from planner.proof import prove
+from planner.proof import context, prove
 from planner.proof.rule_table import built_in
 from planner.proof.rules import clearance
 from planner.reading.controller import ControllerFile, controllers
@@ -56,7 +56,7 @@ def test_a_long_job_is_measured_with_that_much_less_room_too(monkeypatch):
         wanted.append(settings.clearance)
         return measured(models, looks, settings)
 
-    monkeypatch.setattr(prove, "MOST_SENT_SAMPLES", 0)
+    monkeypatch.setattr(context, "MAX_SENT_SAMPLES", 0)
     monkeypatch.setattr(clearance, "measured", seen)
     problem, _, texts, prover = spline_job.job()
     assert prover.prove(texts).ok

@@ -21,7 +21,7 @@ from planner.processes.forming.claims import FormsLevel
 from planner.processes.forming.plan import level as one_level
 from planner.processes.forming.proof.rules import level as forming_level
 from planner.processes.forming.proof.rules import tool, two_tools
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
 from tests import small_forming
 from tests.processes.forming.plan import shapes
@@ -74,6 +74,7 @@ def file(folder: Path) -> Iterator[Path]:
 
 
 def messages(context: Context) -> list[str]:
+    context.release(FORMING)  # which has read the files
     return [issue.message for issue in forming_level.level(context).issues]
 
 

@@ -79,6 +79,7 @@ _unlike_a_sheet = {"forces_n": [0.0, 499.0, 501.0], "displacements_mm": [0.0, 1e
 
 
 def messages(context: Context) -> list[str]:
+    context.release(FORMING)  # which has read the files
     return [issue.message for issue in springback.springback(context).issues]
 
 
