@@ -261,7 +261,8 @@ def _planned(
     from planner.proof import prove
     from planner.report import contribution, output
 
-    contribution.of_processes(problem)  # refuses a package that cannot report before any work
+    contribution.of_processes(problem)  # refuse packages that cannot report before any work
+    contribution.by_language(problem.cell.arms)
     jobs = processes.jobs(problem)
     targets = targets_of(problem, jobs)
     claims = processes.claims(problem, jobs)

@@ -16,7 +16,7 @@ from planner.problem import Arm, Problem, setups_of
 from planner.programs import text as program_text
 from planner.programs.handshake import automata
 from planner.programs.handshake.automata import Reading
-from planner.programs.language import Reader, Sharing, language_of, reader_of
+from planner.programs.language import Reader, Sharing, reader_of
 from planner.programs.stages import (
     JobText,
     Stage,
@@ -28,6 +28,7 @@ from planner.programs.stages import (
     wiring,
 )
 from planner.programs.steps import Fault
+from planner.runtime import plugins
 
 
 def task_names(problem: Problem) -> tuple[str, ...]:
@@ -58,7 +59,7 @@ def _sharing(problem: Problem, arm: Arm) -> Sharing:
 
 def endings(arm: Arm) -> tuple[str, ...]:
     """Return the endings of the names of the files of an arm's programs."""
-    language = language_of(arm)
+    language = plugins.language_of(arm.data.family)
     return () if language is None else language.endings
 
 
@@ -118,7 +119,10 @@ def by_reader(
             continue
         together = {task: arm}
         if reader.sharing is Sharing.FILE:
-            together = {name: one for name, one in arms.items() if language_of(one) is language_of(arm)}
+            language = plugins.language_of(arm.data.family)
+            together = {
+                name: one for name, one in arms.items() if plugins.language_of(one.data.family) is language
+            }
         done |= together.keys()
         yield reader, together, files[task]
 

@@ -107,19 +107,13 @@ class Reader:
     known_moves: frozenset[str] | None = None
 
 
-def language_of(arm: Arm) -> Language | None:
-    """Return the language that the controller of an arm reads, None if there is none."""
-    languages = plugins.usable(Language).values()
-    return next((one for one in languages if arm.data.family in one.families), None)
-
-
 def reader_of(arm: Arm) -> Reader | None:
     """Return the reader of the language of an arm, None if there is none.
 
     Raises:
         TandemError: The reader cannot be loaded (``post.language``).
     """
-    language = language_of(arm)
+    language = plugins.language_of(arm.data.family)
     return None if language is None else _load(language)
 
 

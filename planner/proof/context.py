@@ -35,6 +35,7 @@ from planner.runtime.executor import SERIAL, Executor
 C = TypeVar("C", bound=Claim)
 T = TypeVar("T")
 Claims = Mapping[str, tuple[Claim, ...]]
+"""Claims by the name of their operation."""
 MAX_SENT_SAMPLES: Final = 500_000
 """Largest number of samples of a motion that is sent to another process [-]: 100 MB for two arms. For longer
 motions, as forming jobs of an hour have, the copy needs more memory than the parallel work saves time."""

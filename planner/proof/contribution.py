@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 from planner.claims.claim import Claim
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
-from planner.proof.context import Context
+from planner.proof.context import Claims, Context
 from planner.proof.facts import Fact
 from planner.proof.part_files.made import MadeSheet, MadeSurfaces
 from planner.proof.rule import Rule
 from planner.proof.rule_order import Stage
 from planner.runtime import plugins
 from planner.runtime.plugins import PluginError, Process
-
-Claims = Mapping[str, tuple[Claim, ...]]
-"""Claims by the name of their operation."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,10 +88,6 @@ def of_processes(problem: Problem | None = None) -> tuple[ProofOfProcess, ...]:
         raise TandemError(Issue("problem.process_package", str(error))) from error
 
 
-NO_EDGES: Final = frozenset[str]()
-"""No segments."""
-
-
 def edges(context: Context, index: int, arm: str) -> tuple[Edges, ...]:
     """Find where the working end of an arm's tool may touch the stock in setup ``index``."""
     groups = context.setup_claims[index].groups
@@ -104,4 +97,4 @@ def edges(context: Context, index: int, arm: str) -> tuple[Edges, ...]:
 
 def segments_of(some: Iterable[Edges], meet: bool) -> frozenset[str]:
     """Return the keys of all segments of edges that may, or may not, meet one another."""
-    return NO_EDGES.union(*(edge.segments for edge in some if edge.meet is meet))
+    return frozenset[str]().union(*(edge.segments for edge in some if edge.meet is meet))

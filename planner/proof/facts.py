@@ -37,18 +37,19 @@ class Facts(Generic[Subject]):
     """The facts of one context. Facts that are built from one another must not form a circle."""
 
     def __init__(self) -> None:
-        self._values: dict[str, tuple[Fact[Subject, Any], Any]] = {}
+        self._values: dict[str, Any] = {}
+        self._facts: dict[str, Fact[Subject, Any]] = {}
 
     def get(self, fact: Fact[Subject, T], subject: Subject) -> T:
         """Return a fact. Build it if this is its first use."""
         if fact.name not in self._values:
-            self._values[fact.name] = fact, fact.build(subject)
-        value: T = self._values[fact.name][1]
+            self.put(fact, fact.build(subject))
+        value: T = self._values[fact.name]
         return value
 
     def put(self, fact: Fact[Subject, T], value: T) -> None:
         """State a fact that was built elsewhere."""
-        self._values[fact.name] = fact, value
+        self._values[fact.name], self._facts[fact.name] = value, fact
 
     def release(self, fact: Fact[Subject, Any]) -> None:
         """Drop a fact, so that its memory becomes free."""
@@ -57,7 +58,9 @@ class Facts(Generic[Subject]):
     def lasting(self) -> Facts[Subject]:
         """Return only the facts that are marked as ``lasting``."""
         out: Facts[Subject] = Facts()
-        out._values = {name: (fact, value) for name, (fact, value) in self._values.items() if fact.lasting}
+        for name, fact in self._facts.items():
+            if fact.lasting and name in self._values:
+                out.put(fact, self._values[name])
         return out
 
     def __contains__(self, fact: Fact[Subject, Any]) -> bool:
@@ -65,13 +68,6 @@ class Facts(Generic[Subject]):
         return fact.name in self._values
 
     def __getstate__(self) -> dict[str, Any]:
-        """Send only facts that are marked as ``sent``. Functions do not go along."""
-        return {name: value for name, (fact, value) in self._values.items() if fact.sent}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        unknown: Callable[[Any], Any] = _unknown
-        self._values = {name: (Fact(name, unknown, sent=True), value) for name, value in state.items()}
-
-
-def _unknown(subject: Any) -> Any:
-    raise LookupError("a fact that was sent is never built")
+        """Send only facts that are marked as ``sent``. Functions that build facts do not go along."""
+        sent = (name for name, fact in self._facts.items() if fact.sent and name in self._values)
+        return {"_values": {name: self._values[name] for name in sent}, "_facts": {}}

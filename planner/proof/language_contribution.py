@@ -19,7 +19,6 @@ from planner.claims.sentences import Sentence
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Problem
 from planner.programs.handshake.automata import Wiring
-from planner.programs.language import language_of
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep, SettingStep
 from planner.programs.text import Partner
@@ -170,7 +169,7 @@ def of_file(path: str) -> ProofOfLanguage:
 
 def of_arm(arm: Arm) -> ProofOfLanguage:
     """Return the contribution of the language that the controller of an arm reads."""
-    return _of(language_of(arm))
+    return _of(plugins.language_of(arm.data.family))
 
 
 def checked(code: str, context: Context, task: TaskText) -> Outcome:

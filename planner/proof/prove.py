@@ -17,8 +17,8 @@ from planner.claims.claim import ArmSags, Claim, OneOf
 from planner.issues import Issue, TandemError, aggregate, has_errors, with_remedy
 from planner.problem import Problem
 from planner.proof import rule_table, series
-from planner.proof.context import Context
-from planner.proof.contribution import Ahead, Claims, of_processes
+from planner.proof.context import Claims, Context
+from planner.proof.contribution import Ahead, of_processes
 from planner.proof.dialogue import chosen_groups
 from planner.proof.rule import Outcome, Rule
 from planner.proof.rule_order import FACES, NEEDED, Stage

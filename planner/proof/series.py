@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from planner.proof.replay.motion import differences
 
 _SAMPLES_AT_ONCE = 65_536
 """Samples of a long motion that are worked on at once."""
-_MOST_CURVE_POINTS = 6000
-"""Points of a curve in a proof at most."""
+MAX_CURVE_POINTS: Final = 6000
+"""Largest number of points of a curve in a proof."""
 
 
 def series(context: Context, measured: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def series(context: Context, measured: Mapping[str, Mapping[str, Any]]) -> dict[
     """
     found = dict(measured)
     motion = context.motion
-    stride = max(1, len(motion.time) // _MOST_CURVE_POINTS)
+    stride = max(1, len(motion.time) // MAX_CURVE_POINTS)
     rows = np.arange(0, len(motion.time), stride)
     out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels(rows)}
     for arm, q in motion.q.items():

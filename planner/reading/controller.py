@@ -279,8 +279,8 @@ def _check_ros(spec: ControllerFile, arms: Sequence[str]) -> None:
         if name not in arms:
             what = f"the cell has no arm {name}; allowed: {', '.join(arms)}"
             raise TandemError(Issue("problem.field", what, field="controller.joint_prefix"))
-    if spec.language == "own" and spec.joint_prefix:
-        what = "a joint_prefix is stated, but language is own; set language: ros or take it out"
+    if spec.language != "ros" and spec.joint_prefix:
+        what = f"a joint_prefix is stated, but language is {spec.language}; set language: ros or take it out"
         raise TandemError(Issue("problem.field", what, field="controller.joint_prefix"))
     if spec.language == "ros" and spec.sync == "handshake":
         what = (

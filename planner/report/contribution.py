@@ -202,11 +202,18 @@ class ReportOfLanguage:
 
 
 def by_language(arms: Iterable[Arm]) -> list[tuple[ReportOfLanguage, tuple[Arm, ...]]]:
-    """Divide arms by the languages of their controllers, in the order of the plug-ins."""
+    """Divide arms by the languages of their controllers, in the order of the plug-ins.
+
+    Raises:
+        TandemError: The contribution of an installed language cannot be loaded (``post.language``).
+    """
     arms = tuple(arms)
     out = []
-    for language in plugins.usable(Language).values():
+    for name, language in plugins.usable(Language).items():
         own = tuple(arm for arm in arms if arm.data.family in language.families)
         if own and language.report is not None:
-            out.append((plugins.load(language.report, ReportOfLanguage), own))
+            try:
+                out.append((plugins.part_of(Language, name, "report", ReportOfLanguage), own))
+            except PluginError as error:
+                raise TandemError(Issue("post.language", str(error))) from error
     return out

@@ -181,6 +181,11 @@ def usable(kind: type[T]) -> dict[str, T]:
     return {name: found.plugin for name, found in some.items() if found.plugin is not None}
 
 
+def language_of(family: str) -> Language | None:
+    """Return the language that controllers of a family read, or None if there is none."""
+    return next((one for one in usable(Language).values() if family in one.families), None)
+
+
 def is_built_in(kind: type[Plugin], name: str) -> bool:
     """Return whether a plug-in is one of Tandem's."""
     return name in BUILT_IN[kind.GROUP]

@@ -14,7 +14,7 @@ from planner.report.charts import FaceWords, Line
 from planner.report.contribution import ProcessMotion, ReportOfLanguage, ReportOfProcess, TimeChart
 from planner.report.markup import Tile
 from planner.runtime import plugins
-from planner.runtime.plugins import Language, Process
+from planner.runtime.plugins import Found, Language, Process
 from tests.report import synthetic_job as job
 
 CHART = TimeChart("Glow of the toy", (Line("glow", np.arange(3.0), np.arange(3.0)),), "W", "bright")
@@ -34,10 +34,10 @@ LANGUAGE = ReportOfLanguage(
 def test_the_report_draws_what_plug_ins_supply(monkeypatch: pytest.MonkeyPatch) -> None:
     families = tuple({arm.data.family for arm in job.problem().cell.arms})
     toys = {
-        Process: {"elastic_wire": Process("", "", report=f"{__name__}:PROCESS")},
-        Language: {"toy": Language("toy", families, (), "", "", report=f"{__name__}:LANGUAGE")},
+        Process: {"elastic_wire": Found(Process("", "", report=f"{__name__}:PROCESS"), "")},
+        Language: {"toy": Found(Language("toy", families, (), "", "", report=f"{__name__}:LANGUAGE"), "")},
     }
-    monkeypatch.setattr(plugins, "usable", toys.__getitem__)
+    monkeypatch.setattr(plugins, "installed", toys.__getitem__)
     text = output.render(job.problem(), job.plan(60), job.proof(200))
     for words in ("toys", "paint of the toy", "Glow of the toy", "too blue", "switch of the toy"):
         assert words in text
@@ -47,7 +47,7 @@ def test_the_report_draws_what_plug_ins_supply(monkeypatch: pytest.MonkeyPatch) 
 
 def test_processes_that_a_problem_does_not_name_add_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     other = Process("", "", report="no_such_module:REPORT")
-    monkeypatch.setattr(plugins, "usable", {Process: {"other": other}}.__getitem__)
+    monkeypatch.setattr(plugins, "installed", {Process: {"other": Found(other, "")}}.__getitem__)
     assert contribution.of_processes(job.problem()) == ()
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from planner.processes import registry
 from planner.runtime import plugins
+from planner.runtime.plugins import Language, Process
 from tests import small_problem
 
 RING = (
@@ -16,19 +17,26 @@ RING = (
 """An operation of the gauge."""
 
 
-def install(path: pytest.MonkeyPatch, folder: Path, package: str, *points: str) -> None:
-    """Install a package with entry points for processes.
+def install(
+    path: pytest.MonkeyPatch,
+    folder: Path,
+    package: str,
+    *points: str,
+    kind: type[Process | Language] = Process,
+) -> None:
+    """Install a package with entry points.
 
     Args:
         path: Puts the package on the module path, until it is undone.
         folder: Where the metadata is written.
         package: Name of the package.
         points: Lines such as ``ring = tests.toys.gauge:PROCESS``.
+        kind: What the entry points add.
     """
     info = folder / package / f"{package}-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("\n".join(["[tandem.processes]", *points]) + "\n")
+    (info / "entry_points.txt").write_text("\n".join([f"[{kind.GROUP}]", *points]) + "\n")
     path.syspath_prepend(folder / package)
     forget()
 

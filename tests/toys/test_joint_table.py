@@ -15,6 +15,7 @@ from planner.report.contribution import by_language
 from planner.runtime import plugins
 from planner.runtime.plugins import Found, Language
 from tests import small_problem
+from tests.toys.installation import forget, install
 from tests.toys.joint_table import LANGUAGE
 
 FILE = "left/joints.csv"
@@ -30,17 +31,11 @@ Rows = list[list[str]]
 @pytest.fixture(scope="module")
 def _installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The language is installed as pip would do it."""
-    folder = tmp_path_factory.mktemp("site")
-    info = folder / "joint_table-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: joint-table\nVersion: 1.0\n")
-    points = "[tandem.languages]\njoint_table = tests.toys.joint_table:LANGUAGE\n"
-    (info / "entry_points.txt").write_text(points)
+    point = "joint_table = tests.toys.joint_table:LANGUAGE"
     with pytest.MonkeyPatch.context() as path:
-        path.syspath_prepend(folder)
-        plugins.installed.cache_clear()
+        install(path, tmp_path_factory.mktemp("site"), "joint-table", point, kind=Language)
         yield
-    plugins.installed.cache_clear()
+    forget()
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +45,7 @@ def planned(_installed: None, tmp_path_factory: pytest.TempPathFactory) -> pipel
 
 
 def test_without_the_package_the_field_is_refused(tmp_path: Path) -> None:
-    plugins.installed.cache_clear()
+    forget()
     with pytest.raises(TandemError) as caught:
         pipeline.load(small_problem.write(tmp_path, PROBLEM))
     (issue,) = caught.value.issues
@@ -119,6 +114,44 @@ def test_what_has_no_row_is_refused(tmp_path: Path) -> None:
         pipeline.plan(pipeline.load(small_problem.write(tmp_path, more)))
     (issue,) = caught.value.issues
     assert (issue.code, issue.message) == ("joint_table.job", "joint tables have no rows for setups")
+
+
+TRACK = "{axis: [0, 1, 0], range_mm: [-500, 500], unit: RAIL, speed_mm_s: 500, acceleration_mm_s2: 500}"
+SECOND = """    - name: right
+      robot: irb140
+      tool: {kind: wire_holder, mounting: along, side: start}
+      base: {xyz_mm: [900, 0, 0], rpy_deg: [0, 0, 180]}
+      home_deg: [0, 0, 0, 0, 45, 0]
+"""
+
+
+@pytest.mark.usefixtures("_installed")
+@pytest.mark.parametrize("sync", ["multimove", "handshake"])
+def test_two_arms_in_one_job_are_refused(tmp_path: Path, sync: str) -> None:
+    text = PROBLEM.replace("  controller: {", f"{SECOND}  controller: {{sync: {sync}, ")
+    text += "  - {name: more, process: targets, arms: [right], file: right.csv, frame: world}\n"
+    table = (small_problem.COLUMNS.replace("left", "right"), *small_problem.ROWS)
+    (tmp_path / "right.csv").write_text("\n".join(table) + "\n")
+    found = pipeline.check(pipeline.load(small_problem.write(tmp_path, text)))
+    assert "post.controller" in {issue.code for issue in found}
+
+
+@pytest.mark.usefixtures("_installed")
+@pytest.mark.parametrize(
+    ("before", "after", "field"),
+    [
+        ("joint_table}", "joint_table, joint_prefix: {left: a_}}", "cell.controller.joint_prefix"),
+        ("joint_table}", "joint_tables}", "cell.controller.language"),
+        ("joint_table}", "rapid}", "cell.controller.language"),
+        ("home_deg:", f"track: {TRACK}\n      home_deg:", "cell.arms.0.track"),
+    ],
+)
+def test_other_options_of_the_controller_fit_or_are_refused(
+    tmp_path: Path, before: str, after: str, field: str
+) -> None:
+    with pytest.raises(TandemError) as caught:
+        pipeline.load(small_problem.write(tmp_path, PROBLEM.replace(before, after)))
+    assert [(issue.code, issue.field) for issue in caught.value.issues] == [("problem.field", field)]
 
 
 @pytest.mark.parametrize("more", ["", "up\n"])

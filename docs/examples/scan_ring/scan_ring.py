@@ -21,10 +21,9 @@ class Ring(Strict):
 
 class RingJob(Job[Ring]):
     def around(self):  # poses (73, 4, 4) in the block's frame, in metres
-        turn, pose = np.linspace(0, 2 * np.pi, 73), np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (73, 1, 1))
-        radius, height = self.operation.radius_mm / 1000, self.setup.stock.upper[2] + 0.04
-        pose[:, :3, 3] = np.stack([radius * np.cos(turn), radius * np.sin(turn), 0 * turn + height], axis=1)
-        return pose
+        turn, height = np.linspace(0, 2 * np.pi, 73), self.setup.stock.upper[2] + 0.04
+        ring = self.operation.radius_mm / 1000 * np.column_stack([np.cos(turn), np.sin(turn)])
+        return np.array([[[1, 0, 0, x], [0, -1, 0, y], [0, 0, -1, height], [0, 0, 0, 1]] for x, y in ring])
 
     def targets(self):  # for the arm: where to, at 50 mm/s, stopping at the ends alone
         arms, ring, feed = self.operation.arms, self.around(), np.full(73, 0.05)

@@ -142,12 +142,11 @@ def unwritten(arm: Arm) -> Issue:
     what = f"is of the family {family}, whose language is not written yet"
     if arm.data.axes > 6:
         what = "has seven axes, and no controller's own language that is written here states seven joints"
-    for language in plugins.usable(Language).values():
-        if family in language.families:
-            try:
-                plugins.load(language.writer, Writer)
-            except PluginError as error:
-                what = f"is of the family {family}, and the writer of {language.title} {error}"
+    if (language := plugins.language_of(family)) is not None:
+        try:
+            plugins.load(language.writer, Writer)
+        except PluginError as error:
+            what = f"is of the family {family}, and the writer of {language.title} {error}"
     what += "; allowed are " + ", ".join(f"{name} ({title})" for name, (title, _) in own.items())
     remedies = [writer.opt_in for _, writer in writers().values() if writer.opt_in]
     hint = "; else ".join([*remedies, f"plan with an arm of {' or '.join(own)}"])

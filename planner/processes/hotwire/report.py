@@ -61,7 +61,7 @@ def _tiles(plan: Plan, proof: Proof | None) -> tuple[Tile, ...]:
         out.append(Tile("wire, hot length", f"{wire.length / MM:.1f}", "mm"))
         out.append(Tile("wire, thickness", f"{wire.thickness / MM:g}", "mm"))
     bows = [c for c in claims if isinstance(c, StraightWire)]
-    spans = sorted({round(float(np.linalg.norm(c.end - c.start)) / MM, 1) for c in bows})
+    spans = sorted({round(c.heated_length / MM, 1) for c in bows})
     out += [Tile("straight wire", " and ".join(f"{v:g}" for v in spans), "mm")] if spans else []
     cuts = [c for c in claims if isinstance(c, CutsSurface)]
     if cuts:
@@ -97,7 +97,7 @@ def _bent_wire(wire: WireJoins) -> list[Row]:
 
 
 def _straight_wire(wire: StraightWire) -> list[Row]:
-    length = float(np.linalg.norm(wire.end - wire.start))
+    length = wire.heated_length
     return [
         ("bow on", wire.arm),
         ("straight wire between the clamps", f"{markup.fixed(length / MM, 1)} mm"),

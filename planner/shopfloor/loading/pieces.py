@@ -15,8 +15,6 @@ from planner.languages.krl import LANGUAGE as KRL
 from planner.languages.rapid import LANGUAGE as RAPID
 from planner.shopfloor.loading.literals import Shape, shape
 
-_KRL_ENDINGS: Final = (*KRL.endings, ".sub")
-"""Endings of programs, data lists and programs of the submit interpreter."""
 _RAPID_PART: Final = re.compile(r'"[^"\n]*"|![^\n]*|;|\n|[^"!;\n]+|"')
 _RAPID_HEADER: Final = re.compile(r"\s*(?:%%%|VERSION:\s*\d+|LANGUAGE:\s*\w+)\s*", re.IGNORECASE)
 """Lines that controllers put in front of a module when they save it."""
@@ -65,7 +63,7 @@ class Piece:
 def kind(name: str) -> str:
     """``rapid`` or ``krl`` by a file's ending, else "": compared byte by byte."""
     ending = PurePosixPath(name).suffix.lower()
-    return "rapid" if ending in RAPID.endings else "krl" if ending in _KRL_ENDINGS else ""
+    return "rapid" if ending in RAPID.endings else "krl" if ending in KRL.file_endings else ""
 
 
 def pieces(name: str, text: str) -> list[Piece]:

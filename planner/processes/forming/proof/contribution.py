@@ -15,9 +15,7 @@ from planner.processes.forming.proof.state import FORMING, LEFT_FACES
 from planner.processes.forming.proof.swept import ENVELOPES
 from planner.proof.context import Context
 from planner.proof.contribution import Edges, ProofOfProcess
-
-_MAX_CURVE_POINTS: Final = 6000
-"""Largest number of points of a curve."""
+from planner.proof.series import MAX_CURVE_POINTS
 
 
 def edges(group: Sequence[Claim], arm: str) -> Edges | None:
@@ -33,7 +31,7 @@ def series(context: Context) -> Mapping[str, Any]:
     out: dict[str, Any] = {}
     for n, gap in enumerate(context.get(FORMING).opened if context.has(FORMING) else (), 1):
         last = max(len(gap.knots) - 1, 0)
-        some = np.unique(np.linspace(0, last, _MAX_CURVE_POINTS).astype(np.int64))[: len(gap.knots)]
+        some = np.unique(np.linspace(0, last, MAX_CURVE_POINTS).astype(np.int64))[: len(gap.knots)]
         out |= {
             f"gap/{n}/time": context.motion.time[gap.track.rows[gap.knots[some]]],
             f"gap/{n}/got": gap.got[some],

@@ -41,15 +41,15 @@ def wanted(operation: Any) -> Iterator[Wanted]:
 
 def made(context: Context, one: Wanted, name: str) -> Sequence[Made]:
     """The cut of a wanted surface. Of two claims of one segment the last one counts."""
-    segment = Segment(one.kind, name).folded
-    claims = context.of(CutsSurface)
-    known = {claim.segment.key: k for k, claim in enumerate(claims)}
-    if one.kind != "cut" or str(segment) not in known:
+    if one.kind != "cut":
         return ()
-    k = known[str(segment)]
-    claim = claims[k]
-    off = partial(off_wire, claim, context.get(SWEEPS)[k])
-    return (Made(name, str(segment), one, claim.vertices, claim.faces, off, along_strips=True),)
+    segment = str(Segment(one.kind, name).folded)
+    claims = zip(context.of(CutsSurface), context.get(SWEEPS), strict=True)
+    for claim, swept in reversed(list(claims)):
+        if claim.segment.key == segment:
+            off = partial(off_wire, claim, swept)
+            return (Made(name, segment, one, claim.vertices, claim.faces, off, along_strips=True),)
+    return ()
 
 
 def names(context: Context) -> Sequence[str]:

@@ -19,7 +19,7 @@ from planner.processes.forming.plan.job import FormingJob
 from planner.processes.forming.plan.process_plan import lay_all
 from planner.processes.forming.plan.stages import formed_sheet, hole_issues, shown
 from planner.processes.forming.proof.rules.part import forming_part
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING, Forming
 from planner.processes.trim.plan.job import TrimJob
 from planner.proof.context import Context
 from tests.processes.forming.plan.staged import BALL, DEPTHS, HOLE, SUMP_RADIUS, part, problem
@@ -177,7 +177,8 @@ def stands_out(found: Problem) -> list[str]:
     """What the proof says, of claims alone, of the part that is formed."""
     forming = Forming.__new__(Forming)  # of a text there is no need
     forming.context = Context(found, registry.claims(found), {})
-    return [issue.message for issue in forming_part(forming.context, forming).issues]
+    forming.context.put(FORMING, forming)
+    return [issue.message for issue in forming_part(forming.context).issues]
 
 
 @pytest.mark.parametrize(

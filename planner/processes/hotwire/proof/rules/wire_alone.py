@@ -35,21 +35,24 @@ def wire_alone(context: Context) -> Outcome:
 def _moves_with_power(context: Context) -> list[Issue]:
     """Moves that must not be while a signal that powers a wire or a spindle is on."""
     signals = {claim.signal.lower() for claim in context.contacts}
+    edged = {
+        (index, task.arm.name): any(not edge.meet for edge in edges(context, index, task.arm.name))
+        for index in range(len(context.setups))
+        for task in context.job.tasks
+    }
     issues, on = [], set[str]()
     for number, stage in enumerate(context.job.stages):
         index = int(context.spans.of_stage[number])
         setup = context.setup_claims[index]
         lone = not stage.synchronised or stage.is_way
         for task in context.job.tasks:
-            arm = task.arm.name
-            edged = any(not edge.meet for edge in edges(context, index, arm))
             for step in stage.steps[task.name]:
                 if isinstance(step, SignalStep) and step.signal.lower() in signals:
                     name = step.signal.lower()
                     on = on | {name} if step.value else on - {name}
                 if not isinstance(step, MoveStep) or not on:
                     continue
-                alone = lone and (bool(setup.joined) or not edged)
+                alone = lone and (bool(setup.joined) or not edged[index, task.arm.name])
                 if alone or (not setup.joined and step.by_joints):
                     how = "alone" if alone else "by joints"
                     message = f"an arm moves {how} while {', '.join(sorted(on))} is on"

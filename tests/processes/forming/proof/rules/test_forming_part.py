@@ -18,7 +18,7 @@ from planner.processes.forming.plan.features import tree
 from planner.processes.forming.proof.rules.claims import forming_claims
 from planner.processes.forming.proof.rules.part import forming_part
 from planner.processes.forming.proof.shapes import Shape
-from planner.processes.forming.proof.state import Forming
+from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
 from tests import small_forming
 from tests.processes.forming.plan import nests, shapes
@@ -55,7 +55,8 @@ def told(found, change=None):
     context = Context(found, group, {})
     forming = Forming.__new__(Forming)  # of a text there is no need
     forming.context = context
-    return {issue.code for rule in (forming_part, forming_claims) for issue in rule(context, forming).issues}
+    context.put(FORMING, forming)
+    return {issue.code for rule in (forming_part, forming_claims) for issue in rule(context).issues}
 
 
 PARTS = {
@@ -349,7 +350,8 @@ def test_a_ridge_that_is_smoothed_away_is_no_noise(scan, deep, seen):
     group = {name: change(one) for name, one in registry.claims(scan).items()}
     forming = Forming.__new__(Forming)
     forming.context = Context(scan, group, {})
-    words = " ".join(issue.message for issue in forming_part(forming.context, forming).issues)
+    forming.context.put(FORMING, forming)
+    words = " ".join(issue.message for issue in forming_part(forming.context).issues)
     assert ("beside one another" in words) == seen
 
 
