@@ -64,6 +64,7 @@ def test_bodies_hold_the_makers_meshes(name: str) -> None:
         assert _outside(bodies[link], np.array(rows, dtype=np.float64)).max() < 0.5 * np.sqrt(3.0), link
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("seed", range(4))
 def test_measured_solids_hold_the_mesh(seed: int) -> None:
     """An upper arm of a round motor and a beam, turned to another side each time."""

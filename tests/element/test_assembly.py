@@ -66,6 +66,7 @@ def manifold(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
     )
 
 
+@pytest.mark.sampled(every=5)
 def test_all_panels_are_closed_bodies_of_one_file(made: tuple[str, Path]) -> None:
     kind, out = made
     panels = {panel["id"]: panel for panel in data_of(out)["panels"]}
@@ -220,6 +221,7 @@ def test_what_is_glued_next_follows_the_order(made: tuple[str, Path]) -> None:
         assert said == [words]
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.skipif(BROWSER is None and "CI" not in os.environ, reason="no Chromium or Chrome")
 def test_the_page_draws_what_stands_and_the_panel_that_comes(made: tuple[str, Path], tmp_path: Path) -> None:
     """In a browser without a network: standing panels are blue, the one that comes is orange."""

@@ -150,6 +150,7 @@ def test_steps_at_joints_are_those_of_the_meshes_and_small(
     assert np.percentile(every, 95) < 0.2e-3
 
 
+@pytest.mark.long
 def test_of_divisions_with_as_few_panels_one_whose_joints_keep_their_limit_is_taken() -> None:
     made = case((1.8, 1.2), (7, 6), 0.9, (0.7, 0.6, 0.15))
     free = divide_elastic(made)
@@ -168,6 +169,7 @@ def test_joints_keep_twice_the_tolerance() -> None:
     assert max(joint.step for joint in joints(fine)) <= 0.2e-3
 
 
+@pytest.mark.long
 def test_a_panel_follows_its_neighbour_where_their_wires_leave_a_step() -> None:
     """As many panels, cut by the same wires, and still within tolerance by a measure against the formula."""
     made = case((2.0, 1.5), (8, 8), 0.7, (0.6, 0.6, 0.12))
@@ -195,6 +197,7 @@ def test_weighted_ends_make_joints_even() -> None:
     assert steps[100.0] < 0.2 * steps[1.0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("half", "length", "block", "most"),
     [
@@ -272,6 +275,7 @@ def test_where_nothing_avoids_them_refused_panels_stay_with_their_reason() -> No
     assert sum(map(cells, everything)) == 6
 
 
+@pytest.mark.long
 def test_panels_that_no_wire_holds_are_avoided_where_others_cover_their_place() -> None:
     def divided(size: tuple[float, float], *lengths: float) -> tuple[tuple[ElasticPanel, ...], ...]:
         rules = dataclasses.replace(

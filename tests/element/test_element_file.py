@@ -188,6 +188,7 @@ def test_noise_is_out_of_tolerance_and_the_tolerance_advised_is_enough(tmp_path:
     assert issue.code == "element.tolerance"
 
 
+@pytest.mark.long
 def test_blocks_too_thin_are_refused_with_the_thickness_that_fits(tmp_path: Path) -> None:
     thin = [{"size_mm": [700, 500, 85]}]
     issue = refusal(element(tmp_path, blocks=thin))
@@ -255,6 +256,7 @@ def test_a_template_is_the_rest_of_a_problem(tmp_path: Path) -> None:
     assert element_file.read(path)
 
 
+@pytest.mark.long
 def test_joints_beyond_the_step_asked_are_told_and_the_step_advised_is_kept(tmp_path: Path) -> None:
     def told(joint: float) -> tuple[Issue, ...]:
         elastic_part = {"tolerance_mm": 1.0, "cells": [6, 5], "joint_mm": joint, "check": "none"}
@@ -267,6 +269,7 @@ def test_joints_beyond_the_step_asked_are_told_and_the_step_advised_is_kept(tmp_
     assert "element.joint" not in {one.code for one in again}
 
 
+@pytest.mark.long
 def test_panels_that_no_wire_holds_are_named_and_more_lengths_help(tmp_path: Path) -> None:
     """A thin wire far longer than its panels snaps; one as long as they need does not."""
     own = {"material": "spring_steel", "diameter_mm": 2.0, "temperature_c": 300}
@@ -341,6 +344,7 @@ def test_the_facade_among_the_problems_divides(tmp_path: Path) -> None:
     assert max(panel["off_surface_mm"] for panel in data["panels"]) <= 1.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("cells", "wire", "along"),
     [

@@ -237,6 +237,7 @@ def test_panels_are_ordinary_problems_and_a_gripper_of_the_rack_holds_them(tmp_p
     assert "plate_200" in held
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("numbering", ["rows", "height", "ground"])
 def test_groups_lie_together_are_as_large_and_are_numbered_as_asked(tmp_path: Path, numbering: str) -> None:
     groups = {"parts": 3, "numbering": numbering}
@@ -326,6 +327,7 @@ def tried(issue: Issue) -> dict[str, Any]:
     return {name: float(value) for name, value in re.findall(r"(\w+): ([\d.]+)", hint[1])}
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("limits", "code"),
     [
@@ -347,6 +349,7 @@ def test_panels_beyond_a_limit_are_named_with_a_change_that_helps(
     assert divided(shell(tmp_path, hexagons={**limits, **change}, **thickness))
 
 
+@pytest.mark.long
 def test_a_thickness_that_sides_cannot_have_is_refused_with_its_panels(tmp_path: Path) -> None:
     """A tight bend: offset by half its radius, panels lean far, or their backs cross."""
     bend = patch(lambda x, y: 0.9 * np.sqrt(np.maximum(1.0 - (x / 2.05) ** 2, 0.0)) + 0 * y)
@@ -472,6 +475,7 @@ def test_what_is_of_the_other_kind_is_refused(tmp_path: Path) -> None:
     assert element_file.read(shell(tmp_path))
 
 
+@pytest.mark.long
 def test_the_pavilion_stands_on_three_legs_and_names_its_concave_panels() -> None:
     files, (issue,) = told(ROOT / "problems" / "pavilion" / "element.yaml")
     panels = written(files)

@@ -59,6 +59,7 @@ def stand(folder: Path) -> dict[str, tuple[int, bytes]]:
     return {name: ((folder / name).stat().st_ino, text) for name, text in content(folder).items()}
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_folder_of_this_element_stays_as_it_is_where_the_surface_moves_by_nothing(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -97,6 +98,7 @@ def broken(path: Path, out: Path) -> None:
     (out / kept.FILE).write_bytes(b"PK")
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.parametrize("change", [other_template, no_problem, edited, killed, broken])
 def test_a_folder_that_is_not_whole_or_of_another_file_is_written_anew(change: Any, tmp_path: Path) -> None:
     path, out = shell(tmp_path, hexagons={"count": 30}), tmp_path / "out"
@@ -158,6 +160,7 @@ def test_a_template_for_one_panel_more_plans_one_panel(tmp_path: Path) -> None:
     assert planned(out, run) == {long[-1][1]}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [2, pytest.param(6, marks=pytest.mark.long)])
 def test_a_batch_of_an_element_that_is_killed_goes_on_to_the_same_bytes(count: int, tmp_path: Path) -> None:
     saw = yaml.safe_load((ROOT / "problems" / "ruled_wall_108" / "saw_job.yaml").read_text())

@@ -219,6 +219,7 @@ def written(folder: Path, raw_blocks: dict[str, Any], mesh: TriangleMesh | None 
     return folder / "out"
 
 
+@pytest.mark.long
 def test_an_element_with_raw_blocks_says_which_panel_comes_from_where(
     tmp_path: Path, raw_blocks: dict[str, Any]
 ) -> None:

@@ -47,6 +47,7 @@ def quads(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return request.param, written(files), said
 
 
+@pytest.mark.sampled(every=3)
 def test_panels_are_planar_do_not_cross_and_keep_the_limits(quads: Any) -> None:
     name, panels, said = quads
     thick = 60.0 if name == "wavy" else THICK
@@ -124,6 +125,7 @@ def test_panels_leave_nothing_bare(quads: Any) -> None:
     assert fronts.intersection(plan).area > 0.98 * plan.area
 
 
+@pytest.mark.long
 def test_the_same_file_gives_the_same_bytes_and_a_billionth_changes_no_id(tmp_path: Path) -> None:
     quad = {"shape": "quad"}
     first = divided(shell(tmp_path / "one", saddle(), quad))
@@ -136,6 +138,7 @@ def test_the_same_file_gives_the_same_bytes_and_a_billionth_changes_no_id(tmp_pa
         np.testing.assert_allclose(panel.top, near[name].top, atol=0.1)
 
 
+@pytest.mark.long
 def test_a_count_that_rows_cannot_make_is_told_and_narrower_panels_make_it(tmp_path: Path) -> None:
     quad = {"shape": "quad", "count": 37}
     files, said = told(shell(tmp_path / "one", saddle(), {**quad, "least_width_mm": 380}))
@@ -149,6 +152,7 @@ def test_a_count_that_rows_cannot_make_is_told_and_narrower_panels_make_it(tmp_p
     assert not [one for one in said if one.code == "element.count"]
 
 
+@pytest.mark.long
 def test_quads_are_advised_where_hexagons_fail_as_the_surface_bends_both_ways(tmp_path: Path) -> None:
     limits = {"least_edge_mm": 150, "least_width_mm": 200}
     found = refusals(shell(tmp_path, saddle(), limits))

@@ -268,6 +268,7 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
+@pytest.mark.long
 def test_faces_of_a_ruled_wall_are_one_surface_from_panel_to_panel(wall: Path) -> None:
     data = data_of(wall)
     rows = rows_in(wall)

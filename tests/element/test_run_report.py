@@ -366,6 +366,7 @@ def bent(folder: Path) -> Path:
     return strips_file(folder, sheet(wave))
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("make", [twisted, bent])
 def test_joints_of_walls_and_strips_are_those_of_the_parts_as_cut(make: Any, tmp_path: Path) -> None:
     """Sides that are cut too far out overlap by both; fronts stand apart by the difference."""

@@ -42,6 +42,7 @@ ANYTHING = st.one_of(
 
 
 # the capital's whole torus, which one mutation in 70 asks for, takes seconds to read
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(
     ("base", "count", "number"),
     [(CAPITAL, 40, 20), pytest.param(CAPITAL, 150, 20, marks=pytest.mark.long), (POSES, 150, 20)],

@@ -128,6 +128,7 @@ def test_a_face_that_goes_all_round_says_so(tmp_path: Path) -> None:
     assert other.start[0] == pytest.approx(other.start[-1])
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("chord", [0.5, 0.01])
 def test_facets_of_a_free_face_are_as_near_as_is_said(tmp_path: Path, chord: float) -> None:
     surface = free_surface()
@@ -271,6 +272,7 @@ def test_faces_cut_along_other_lines_than_their_own_are_refused(tmp_path: Path) 
     assert np.ptp(found.mesh.vertices, axis=0) == pytest.approx([0.030, 0.010, 0.0])
 
 
+@pytest.mark.long
 def test_a_face_cut_along_its_own_lines_is_that_piece(tmp_path: Path) -> None:
     """rhino3dm cannot trim: edges on lines of the surface stand for a trimmed face."""
     surface = ruled_surface()

@@ -62,7 +62,7 @@ def files() -> Any:
     return step_files
 
 
-@pytest.mark.sampled(every=3)
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(
     ("name", "unit", "raised"),
     [("a.step", "MM", 1), ("a.stp", "INCH", 3), ("a.step", "M", 2), ("a.igs", "INCH", 1)],
@@ -108,6 +108,7 @@ def free(files: Any) -> Any:
     return files.bspline(grid, (3, 3))
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("chord", [0.5, 0.02])
 def test_a_free_face_is_as_near_as_it_says(tmp_path: Path, files: Any, chord: float) -> None:
     from OCP.GeomAPI import GeomAPI_ProjectPointOnSurf
@@ -132,6 +133,7 @@ def test_a_free_face_is_as_near_as_it_says(tmp_path: Path, files: Any, chord: fl
     assert "bends both ways" in refusal(lambda: ruled(path))
 
 
+@pytest.mark.long
 def test_a_face_is_cut_along_its_own_lines_or_refused(tmp_path: Path, files: Any) -> None:
     from OCP.BRepAlgoAPI import BRepAlgoAPI_Cut
     from OCP.BRepPrimAPI import BRepPrimAPI_MakeCylinder
@@ -153,6 +155,7 @@ def test_a_face_is_cut_along_its_own_lines_or_refused(tmp_path: Path, files: Any
         assert words in said and "make it anew between its edges" in said
 
 
+@pytest.mark.long
 def test_faces_of_several_bodies_are_told_and_picked(
     tmp_path: Path, files: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -209,6 +212,7 @@ REAL = {
 }
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", REAL)
 def test_files_of_other_writers_are_read(files: Any, name: str) -> None:
     del files

@@ -121,7 +121,7 @@ def follow(name: str, folder: Path) -> Path:
     return folder / name
 
 
-@pytest.mark.sampled(every=4)
+@pytest.mark.sampled(every=8)
 @pytest.mark.parametrize("name", REMEDIES)
 def test_what_an_issue_advises_ends_it(name: str, tmp_path: Path) -> None:
     left = errors(follow(f"{name}.yaml", tmp_path))

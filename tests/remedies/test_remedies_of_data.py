@@ -113,7 +113,7 @@ def tried(row: Row, folder: Path) -> tuple[list[Issue], list[Issue]]:
 EACH = [pytest.param(row, marks=[pytest.mark.long] * row.long, id=row.code) for row in ROWS]
 
 
-@pytest.mark.sampled(every=3)
+@pytest.mark.sampled(every=6)
 @pytest.mark.parametrize("row", EACH)
 def test_what_an_issue_advises_ends_it_and_leaves_no_other_fault(row: Row, tmp_path: Path) -> None:
     """What was an error may stay as a note: foam that is left, where more is allowed to be."""

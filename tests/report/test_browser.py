@@ -73,6 +73,7 @@ def test_the_report_shows(files: dict[str, str], tmp_path: Path) -> None:
     assert "http" not in re.sub(r"http://www\.w3\.org/\S+", "", files["report.html"])
 
 
+@pytest.mark.long
 def test_the_replay_draws_orange_robots(files: dict[str, str], tmp_path: Path) -> None:
     shot, log = look(files["replay.html"], tmp_path, "--timeout=15000")
     assert not console_errors(log)

@@ -108,6 +108,7 @@ def modules(job: str) -> dict[str, str]:
     }
 
 
+@pytest.mark.sampled(every=4)
 @reads_rapid
 @pytest.mark.parametrize("job", JOBS)
 def test_rapid_is_read(job: str) -> None:

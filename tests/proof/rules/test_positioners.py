@@ -142,6 +142,7 @@ def some(names: Iterable[str]) -> list[Any]:
     return [pytest.param(one, marks=pytest.mark.long) if one in KIN else one for one in names]
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("name", some(MUTANTS))
 def test_a_wrong_positioner_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]

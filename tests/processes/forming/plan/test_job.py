@@ -177,6 +177,7 @@ def test_tools_begin_and_end_off_the_sheet(laid: Laid) -> None:
         assert (toward < 0.0).all() if made.above(arm) else (toward > 0.0).all()
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> None:
     found = problem(tmp_path, path=kind)
@@ -194,7 +195,7 @@ def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> N
     assert np.quantile(at, 0.9) < 15e-6  # facets are chords of the smooth face that the ball is on
 
 
-@pytest.mark.sampled(every=3)
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("up", [False, True], ids=["down", "up"])
 @pytest.mark.parametrize("squeeze", [1.0, 0.9])
 def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze: float) -> None:
@@ -213,6 +214,7 @@ def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze:
     assert (gap < squeeze * MM + 2e-6).all()
 
 
+@pytest.mark.long
 def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_path: Path) -> None:
     part = shapes.cone(45.0, 0.018, 0.03, 120)
     for shift in (20.0, 45.0):
@@ -251,6 +253,7 @@ def test_a_step_deeper_than_the_part_is_refused_as_that(tmp_path: Path) -> None:
     assert registry.job(problem(tmp_path, "spif", part, stepdown_mm=0.6), 0).targets().count > 100
 
 
+@pytest.mark.long
 def test_a_ledge_that_no_step_in_height_forms_is_refused_and_scallop_forms_it(tmp_path: Path) -> None:
     """15 mm of 1 degree between two walls: one loop at its foot and one at its edge."""
     low = -4.0 - 15.0 * np.tan(np.radians(1.0))
@@ -266,6 +269,7 @@ def test_a_ledge_that_no_step_in_height_forms_is_refused_and_scallop_forms_it(tm
     assert registry.job(problem(tmp_path, "spif", part, scallop_mm=0.01), 0).targets().count > 300
 
 
+@pytest.mark.long
 def test_small_fillets_are_left_to_the_ball_where_the_stated_tolerance_allows_it(tmp_path: Path) -> None:
     """Fillets of 2 mm below walls of 40 degrees: a ball of 6 mm stays (6 - 2) (1 / cos 20 - 1) = 0.26 mm off.
     The tolerance that the refusal names is enough, and half of it is not."""
@@ -288,6 +292,7 @@ def test_a_shift_beyond_the_wall_is_refused(tmp_path: Path) -> None:
         problem(tmp_path, "dsif", shift_deg=10)
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("outline", ["star", "notched"])
 @pytest.mark.parametrize("tool", ["ball", "disk"])
 def test_a_support_on_the_border_never_comes_over_the_part(tmp_path: Path, outline: str, tool: str) -> None:

@@ -33,6 +33,7 @@ def contact(folder: Path, number: int, **operation: Any) -> ContactPath:
     return one_level.alone(job.planned, one, level).contact
 
 
+@pytest.mark.long
 def test_a_level_of_a_spiral_begins_where_the_one_before_ends(tmp_path: Path) -> None:
     found = [contact(tmp_path, number) for number in range(6)]
     for one, two in itertools.pairwise(found):
@@ -44,6 +45,7 @@ def test_a_level_of_a_spiral_begins_where_the_one_before_ends(tmp_path: Path) ->
         assert one.point[[0, -1], 1] == pytest.approx(0.0, abs=1e-4)
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("path", ["contour", "alternating", "stepped"])
 def test_a_level_of_loops_is_closed(tmp_path: Path, path: str) -> None:
     for number in (1, 2, 4):

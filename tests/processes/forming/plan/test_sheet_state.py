@@ -111,6 +111,7 @@ def _dome() -> tuple[Pass, ContactPath, list[Pass]]:
     return found[1], cone_path(found[1], 45.0, 0.03, 0.003, 40, 4e-3), list(found)
 
 
+@pytest.mark.long
 def test_a_support_that_meets_the_dish_around_is_found() -> None:
     part = revolved(DISH, 90)
     tree, _ = tree_of(part)

@@ -89,6 +89,7 @@ def test_a_tool_that_comes_to_the_hole_is_told(staged: Staged) -> None:
     assert "the tool of robot comes within" in words and "of the edges of hole" in words
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize(
     ("hole", "words"),
     [
@@ -195,6 +196,7 @@ def _other_number(staged: Staged) -> Claims:
     }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -147,6 +147,7 @@ def test_another_signal_is_refused() -> None:
     assert "verify.signals" in broken(proven({**programs(), MAIN: text}, "verify.signals"))
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize(
     ("path", "by"), [("helical", 0.5), ("helical", 1.3), ("contour", 2.5), ("helical", 7.0)]
 )

@@ -63,6 +63,7 @@ def test_alone_the_former_follows_the_contact(side: int) -> None:
     assert np.allclose(path.axis[:, :2], -np.sin(np.radians(20.0)) * inward, atol=1e-9)
 
 
+@pytest.mark.sampled(every=2)
 @SIDES
 @pytest.mark.parametrize("squeeze", [1.0, 0.9])
 def test_opposite_each_other_the_gap_is_the_squeezed_sine_law(side: int, squeeze: float) -> None:
@@ -105,6 +106,7 @@ def test_beside_the_flat_the_support_rolls_round_the_former(side: int) -> None:
     assert support_issues(one, path, operation(), BALL, BALL, T0) == ()
 
 
+@pytest.mark.sampled(every=2)
 @SIDES
 def test_moves_that_do_not_keep_the_gap_are_told(side: int, monkeypatch: pytest.MonkeyPatch) -> None:
     one, contact = made(side, per_loop=24)
@@ -171,6 +173,7 @@ def test_in_the_air_the_support_draws_back() -> None:
     assert np.allclose(path.support[rows[1], :2], path.support[rows[1] + 1, :2])
 
 
+@pytest.mark.long
 def test_a_hollow_tighter_than_the_support_turns_it_aside_with_a_warning() -> None:
     # a wall of 30 deg that bends into one of 60 deg leaves a hollow below, at z = -20 mm
     rings = [(0.12, 0.0), (0.1, 0.0), (0.1 - 0.01 / np.tan(np.radians(60.0)), -0.01)]
@@ -224,6 +227,7 @@ def test_a_hollow_tighter_than_the_support_turns_it_aside_with_a_warning() -> No
     )
 
 
+@pytest.mark.sampled(every=2)
 @SIDES
 def test_heat_comes_from_opposite(side: int) -> None:
     one, contact = made(side)

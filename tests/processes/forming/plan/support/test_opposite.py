@@ -191,6 +191,7 @@ def off_touched(one: Pass, places: FloatArray, directions: FloatArray, ball: flo
     return float(np.degrees(_off_directions(directions, way, rows, face, found, 1, upright=True).max()))
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(("corner", "pitch", "shift"), [(5.5, 1.5, 0.1), (8.0, 1.5, 0.3), (5.3, 1.25, 0.0)])
 def test_in_a_round_corner_of_coarse_facets_the_line_stays_at_what_is_touched(
     corner: float, pitch: float, shift: float
@@ -296,6 +297,7 @@ def test_over_facets_the_ball_leans_on_the_smooth_face() -> None:
     assert np.abs(lean.gap - T0 * np.cos(tilt)).max() < 0.03 * T0
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("kind", ["stepped", "contour", "alternating"])
 def test_where_the_ball_steps_off_the_wall_the_support_turns_below_it_at_once(kind: str) -> None:
     """Off the wall the support stands below: the line turns there on the way, not more and more finely."""

@@ -237,7 +237,7 @@ CLAIMS = {
 }
 
 
-@pytest.mark.sampled(every=2)
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("kind", CLAIMS)
 def test_programs_that_do_not_meet_a_claim_are_told(kind):
     code, changes = CLAIMS[kind]
@@ -276,6 +276,7 @@ def test_a_support_keeps_to_its_border():
     assert "verify.border" in broken(other.prove(job.programs(), last="verify.border"))
 
 
+@pytest.mark.long
 def test_a_tool_that_follows_is_opposite():
     vertices, faces = job.face()
     away = 2.0 * job.BALL + 0.95 * job.SHEET
@@ -304,6 +305,7 @@ def test_a_nozzle_that_points_aside_is_told():
     assert "verify.opposite" in broken(own.prove(tilted(job.programs(), 2, k, 25.0), last="verify.opposite"))
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(("every", "bound", "holds"), [(1, 1e-3, True), (1, 5e-5, False), (10, 1e-3, False)])
 def test_two_controllers_a_step_apart_keep_the_gap_within_its_bound(every, bound, holds):
     """A step of s beside a distance D makes sqrt(D^2 + s^2) - D."""

@@ -171,6 +171,7 @@ def test_a_planned_cone_is_proven(made):
 ALWAYS = ("0.3 mm aside", "a loop is missing", "the way in beside")
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     "kind", [kind if kind in ALWAYS else pytest.param(kind, marks=pytest.mark.long) for kind in MUTANTS]
 )
@@ -223,6 +224,7 @@ def test_another_part_is_proven_on_its_other_side(tmp_path):
     assert "verify.adsif" in broken(Prover(found, loose).prove(texts, last="verify.adsif"))
 
 
+@pytest.mark.long
 def test_claims_that_the_table_does_not_hold_for_are_told(made):
     own, texts = made
     for changes in ({"metal": "dc04"}, {"thickness": 2e-3}, {"pitch": 4e-4}, {"projection": 2e-3}):

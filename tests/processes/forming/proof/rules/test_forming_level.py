@@ -161,10 +161,12 @@ def into_the_middle(texts: Mapping[str, str], task: str, way: str, z: float) -> 
     return out
 
 
+@pytest.mark.long
 def test_tools_of_an_honest_plan_are_not_pushed_through_the_sheet(context: Context) -> None:
     assert tool.sheet(context).issues == ()
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("arm", "way", "z"), [(0, "form_f1_in", 1.0), (0, "form_f1_out", 1.0), (1, "form_f1_in", 8.0)]
 )
@@ -191,6 +193,7 @@ def test_shifts_on_one_arm_alone_break_the_gap(outcome: Outcome) -> None:
         assert "verify.gap" in broken(outcome, moved(outcome.programs, (arm,), 0.5))
 
 
+@pytest.mark.long
 def test_another_level_than_the_stated_one_is_told_by_its_height(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
