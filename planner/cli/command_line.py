@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import _thread
+import functools
 import logging
 import os
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, NoReturn
+from typing import Annotated, NoReturn, ParamSpec
 
 import tyro
 from rich.table import Table
 
 from planner.cli import batch as batch_commands
-from planner.cli import batch as compare_commands
 from planner.cli import clamp as clamp_commands
 from planner.cli import element as element_commands
 from planner.cli import forming as forming_commands
 from planner.cli import loading as loading_commands
 from planner.cli import loop as loop_commands
-from planner.cli import preparation as align_commands
-from planner.cli import preparation as feature_commands
-from planner.cli import preparation as kerf_commands
+from planner.cli import preparation as preparation_commands
 from planner.cli import robots as robot_commands
 from planner.cli import scan as scan_commands
 from planner.cli import service as service_commands
@@ -39,9 +37,41 @@ from planner.runtime.memory import gc_frozen
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN, NOT_COMPARED = 0, 1, 2, 3, 4, 5
 """Exit codes of the command."""
 app = tyro.extras.SubcommandApp()
+P = ParamSpec("P")
 
 
-@app.command
+def _infeasible_code(error: TandemError) -> int:
+    return BAD_INPUT if given_wrong(error.issues) else NO_PLAN
+
+
+def _failed_code(error: TandemError) -> int:
+    return BAD_INPUT if given_wrong(error.issues) else FAILED
+
+
+def _command(
+    code: Callable[[TandemError], int] = lambda _: BAD_INPUT, name: str | None = None
+) -> Callable[[Callable[P, int | None]], Callable[P, int]]:
+    """Make a function a command of that ``name``, by default its own.
+
+    The exit code is what the function returns, `DONE` for None. The issues of a ``TandemError`` are printed,
+    and ``code`` gives its exit code.
+    """
+
+    def registered(function: Callable[P, int | None]) -> Callable[P, int]:
+        @functools.wraps(function)
+        def run(*args: P.args, **kwargs: P.kwargs) -> int:
+            try:
+                return function(*args, **kwargs) or DONE
+            except TandemError as error:
+                return _refused(error, code(error))
+
+        app.command(run, name=name)
+        return run
+
+    return registered
+
+
+@_command()
 def plan(
     problem: tyro.conf.Positional[Path],
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out"),
@@ -86,15 +116,11 @@ def plan(
     return int(pipeline.exit_code(outcome))
 
 
-@app.command
+@_command()
 def check(problem: tyro.conf.Positional[Path]) -> int:
     """Validate a problem file and test reach, without planning."""
     pipeline = _pipeline()
-
-    try:
-        loaded = pipeline.load(problem)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
+    loaded = pipeline.load(problem)
     issues = pipeline.check(loaded)
     print_issues(issues)
     if has_errors(issues):
@@ -104,7 +130,7 @@ def check(problem: tyro.conf.Positional[Path]) -> int:
     return DONE
 
 
-@app.command
+@_command()
 def verify(
     folder: tyro.conf.Positional[Path],
     problem: Path | None = None,
@@ -123,26 +149,19 @@ def verify(
         signed_by: a public key, or a file of allowed signers, by which the result must be signed.
     """
     pipeline = _pipeline()
-
-    try:
-        key = None if sign is None else statement.read_private_key(sign)
-        loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
-        signature = () if signed_by is None else statement.check_signed(folder, loaded, signed_by)
-        print_issues(compare_with_file(pipeline, folder, loaded, problem))
-        print_issues(signature)
-        programs = pipeline.read_programs(folder, bare=problem is not None)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
+    key = None if sign is None else statement.read_private_key(sign)
+    loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
+    signature = () if signed_by is None else statement.check_signed(folder, loaded, signed_by)
+    print_issues(compare_with_file(pipeline, folder, loaded, problem))
+    print_issues(signature)
+    programs = pipeline.read_programs(folder, bare=problem is not None)
     try:
         proof = pipeline.verify(loaded, programs, _processes())
+        foreign = problem is not None and not proof.read
+        partly = pipeline.read_partly(loaded, programs) if foreign else None
     except TandemError as error:
         return _refused(error, NOT_PROVEN)
-    foreign = problem is not None and not proof.read
-    if foreign:
-        try:
-            partly = pipeline.read_partly(loaded, programs)
-        except TandemError as error:
-            return _refused(error, NOT_PROVEN)
+    if partly is not None:
         print_issues(partly.issues)
         out.print(f"{loaded.name}: not read as a whole; each on its own, proven are {partly.share}")
     else:
@@ -160,7 +179,7 @@ def verify(
     return DONE if proof.ok and not has_errors(signature) else NOT_PROVEN
 
 
-@app.command
+@_command()
 def report(folders: tyro.conf.Positional[tuple[Path, ...]], maps: bool = False) -> int:
     """Write report and replay into result folders, with the proof of their programs made anew.
 
@@ -185,14 +204,14 @@ def report(folders: tyro.conf.Positional[tuple[Path, ...]], maps: bool = False) 
     return code
 
 
-@app.command
+@_command()
 def export(
     folder: tyro.conf.Positional[Path],
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     time: float = 0.0,
     machine: str | None = None,
     reverse: str = "",
-) -> int:
+) -> None:
     """Write the cell, the part and the ways of a result folder for CAD programs: GLB, or 3DM for Rhino; or
     what was milled as G-code for a five-axis machine.
 
@@ -208,35 +227,25 @@ def export(
     _pipeline()
     from planner.cli import results
 
-    try:
-        written = results.export(folder, output, time, machine, reverse)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
+    written = results.export(folder, output, time, machine, reverse)
     out.print(f"written to {written}", highlight=False, markup=False)
-    return DONE
 
 
-@app.command
+@_command(_failed_code)
 def upload(request: tyro.conf.OmitArgPrefixes[loading_commands.Upload]) -> int:
     """Send verified programs to a controller, a share or an FTP folder; nothing is loaded or started. Exit 0
     where all that is read of the controller agreed, 5 where something of it was not looked at."""
     _pipeline()
-    try:
-        sent = loading_commands.run_upload(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+    sent = loading_commands.run_upload(request)
     return DONE if sent.ready else NOT_COMPARED
 
 
-@app.command
+@_command(_failed_code)
 def download(request: tyro.conf.OmitArgPrefixes[loading_commands.Download]) -> int:
     """Bring programs back from a controller, name what was touched up there, and prove them again: the exit
     code is that of the proof."""
     _pipeline()
-    try:
-        found, proof = loading_commands.run_download(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+    found, proof = loading_commands.run_download(request)
     print_issues(loading_commands.shortened(found))
     print_issues(proof.issues)
     sent = f"touched up in {len(found)} places" if found else "as it was sent"
@@ -245,32 +254,24 @@ def download(request: tyro.conf.OmitArgPrefixes[loading_commands.Download]) -> i
     return DONE if proof.ok else NOT_PROVEN
 
 
-@app.command
-def robots(name: tyro.conf.Positional[str | None] = None) -> int:
+@_command()
+def robots(name: tyro.conf.Positional[str | None] = None) -> None:
     """List the robots that are built in, or tell of one of them where its figures come from.
 
     Args:
         name: the robot that is told of.
     """
-    try:
-        robot_commands.show(name)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    robot_commands.show(name)
 
 
-@app.command(name="robots-add")
-def robots_add(request: tyro.conf.OmitArgPrefixes[robot_commands.Add]) -> int:
+@_command(name="robots-add")
+def robots_add(request: tyro.conf.OmitArgPrefixes[robot_commands.Add]) -> None:
     """Check the URDF of an arm of your own and write it down for a cell: `tandem robots add` is the same."""
-    try:
-        robot_commands.run_add(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    robot_commands.run_add(request)
 
 
-@app.command
-def materials() -> int:
+@_command()
+def materials() -> None:
     """List the materials of wires, foams and sheets: their figures, each with its value and source."""
     from planner.catalogue import materials
 
@@ -278,231 +279,148 @@ def materials() -> int:
     for name, title, figure, value, source in [*materials.figures(), *materials.sheet_metal_figures()]:
         table.add_row(name, title, figure.replace("_", " "), value, source)
     out.print(table)
-    return DONE
 
 
-@app.command
-def kerf(action: kerf_commands.Action) -> int:
+@_command()
+def kerf(action: preparation_commands.Action) -> None:
     """Fit a foam of your own from test cuts, or ask for a kerf, a speed or a power."""
-    try:
-        kerf_commands.run_kerf(action)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    preparation_commands.run_kerf(action)
 
 
-@app.command
-def align(request: tyro.conf.OmitArgPrefixes[align_commands.Align]) -> int:
+@_command()
+def align(request: tyro.conf.OmitArgPrefixes[preparation_commands.Align]) -> None:
     """Find the base of a cell's second robot from points that both robots probed."""
-    try:
-        print_issues(align_commands.run_align(request))
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    print_issues(preparation_commands.run_align(request))
 
 
-@app.command
-def features(request: tyro.conf.OmitArgPrefixes[feature_commands.Features]) -> int:
+@_command()
+def features(request: tyro.conf.OmitArgPrefixes[preparation_commands.Features]) -> None:
     """Show the features of a sheet part as a tree, in the order of forming, and draw them."""
-    try:
-        print_issues(feature_commands.run_features(request))
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    print_issues(preparation_commands.run_features(request))
 
 
-@app.command
-def springback(request: tyro.conf.OmitArgPrefixes[forming_commands.Springback]) -> int:
+@_command(_infeasible_code)
+def springback(request: tyro.conf.OmitArgPrefixes[forming_commands.Springback]) -> None:
     """Foretell how far a formed part comes back when the tools let go, before it is formed."""
     pipeline = _pipeline()
-    try:
-        print_issues(forming_commands.run_springback(request, pipeline.load(request.problem)))
-    except TandemError as error:
-        return _refused(error, _infeasible_code(error))
-    return DONE
+    print_issues(forming_commands.run_springback(request, pipeline.load(request.problem)))
 
 
-@app.command
-def control(request: tyro.conf.OmitArgPrefixes[forming_commands.ControlRequest]) -> int:
+@_command(_infeasible_code)
+def control(request: tyro.conf.OmitArgPrefixes[forming_commands.ControlRequest]) -> None:
     """Gains of force control and compensation for a machine that you measured, run in time."""
     pipeline = _pipeline()
-    try:
-        print_issues(forming_commands.run_control(request, pipeline.load(request.problem)))
-    except TandemError as error:
-        return _refused(error, _infeasible_code(error))
-    return DONE
+    print_issues(forming_commands.run_control(request, pipeline.load(request.problem)))
 
 
-@app.command(name="calibrate-clamp")
-def calibrate_clamp(request: tyro.conf.OmitArgPrefixes[clamp_commands.CalibrateClamp]) -> int:
+@_command(_infeasible_code, name="calibrate-clamp")
+def calibrate_clamp(request: tyro.conf.OmitArgPrefixes[clamp_commands.CalibrateClamp]) -> None:
     """Find what a sheet's clamp does to it, from forces and dial readings on a flat sheet."""
     pipeline = _pipeline()
-    try:
-        print_issues(clamp_commands.run_calibrate_clamp(request, pipeline.load(request.problem)))
-    except TandemError as error:
-        return _refused(error, _infeasible_code(error))
-    return DONE
+    print_issues(clamp_commands.run_calibrate_clamp(request, pipeline.load(request.problem)))
 
 
-@app.command
-def next_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.NextLoop]) -> int:
+@_command(_infeasible_code)
+def next_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.NextLoop]) -> None:
     """Correct the next level of a formed part by the forces that were measured on the levels so far."""
     _pipeline()
-    try:
-        print_issues(loop_commands.run_next_loop(request))
-    except TandemError as error:
-        return _refused(error, _infeasible_code(error))
-    return DONE
+    print_issues(loop_commands.run_next_loop(request))
 
 
-@app.command
-def simulate_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.SimulateLoop]) -> int:
+@_command(_infeasible_code)
+def simulate_loop(request: tyro.conf.OmitArgPrefixes[loop_commands.SimulateLoop]) -> None:
     """Run the loop that corrects springback against sheets whose truth is known."""
     _pipeline()
-    try:
-        print_issues(loop_commands.run_simulate_loop(request))
-    except TandemError as error:
-        return _refused(error, _infeasible_code(error))
-    return DONE
+    print_issues(loop_commands.run_simulate_loop(request))
 
 
-@app.command(name="scan-fit")
-def scan_fit(request: tyro.conf.OmitArgPrefixes[scan_commands.ScanFit]) -> int:
+@_command(name="scan-fit")
+def scan_fit(request: tyro.conf.OmitArgPrefixes[scan_commands.ScanFit]) -> None:
     """Measure a formed part: how far a scan is off the part that a plan was made for."""
     _pipeline()
-    try:
-        print_issues(scan_commands.run_scan_fit(request))
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    print_issues(scan_commands.run_scan_fit(request))
 
 
-@app.command
-def adjust(request: tyro.conf.OmitArgPrefixes[scan_commands.Adjust]) -> int:
+@_command(_infeasible_code)
+def adjust(request: tyro.conf.OmitArgPrefixes[scan_commands.Adjust]) -> None:
     """Form a part again: the problem with each target moved by what a scan of the part has shown."""
     _pipeline()
-    try:
-        print_issues(scan_commands.run_adjust(request))
-    except TandemError as error:
-        return _refused(error, _infeasible_code(error))
-    return DONE
+    print_issues(scan_commands.run_adjust(request))
 
 
-@app.command
+@_command(_failed_code)
 def batch(request: tyro.conf.OmitArgPrefixes[batch_commands.Batch]) -> int:
     """Plan many problems, each into a folder of its own, with a summary; exit 0 only if all are verified."""
     _pipeline()
-    try:
-        return batch_commands.run_batch(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+    return batch_commands.run_batch(request)
 
 
-@app.command
+@_command(_failed_code)
 def fit(request: tyro.conf.OmitArgPrefixes[batch_commands.Fit]) -> int:
     """Try a job in several cells, and rank them: which robots for this part."""
     _pipeline()
-    try:
-        return batch_commands.run_fit(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+    return batch_commands.run_fit(request)
 
 
-@app.command
-def element(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRequest]) -> int:
+@_command(_infeasible_code)
+def element(request: tyro.conf.OmitArgPrefixes[element_commands.ElementRequest]) -> None:
     """Divide a building element into panels and write a problem for each."""
     _pipeline()
-    try:
-        print_issues(element_commands.run_element(request))
-    except TandemError as error:
-        return _refused(error, _infeasible_code(error))
-    return DONE
+    print_issues(element_commands.run_element(request))
 
 
-@app.command(name="element-report")
-def element_report(request: tyro.conf.OmitArgPrefixes[element_commands.ElementReport]) -> int:
+@_command(name="element-report")
+def element_report(request: tyro.conf.OmitArgPrefixes[element_commands.ElementReport]) -> None:
     """Show what became of an element's panels in a batch: `tandem element report OUT RUN` is the same."""
     _pipeline()
-    try:
-        print_issues(element_commands.run_element_report(request))
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    print_issues(element_commands.run_element_report(request))
 
 
-@app.command(name="element-mark")
-def element_mark(request: tyro.conf.OmitArgPrefixes[element_commands.ElementMark]) -> int:
+@_command(name="element-mark")
+def element_mark(request: tyro.conf.OmitArgPrefixes[element_commands.ElementMark]) -> None:
     """Keep which panels are cut, glued or broken: `tandem element mark OUT ID cut` is the same."""
-    try:
-        print_issues(element_commands.run_element_mark(request))
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    print_issues(element_commands.run_element_mark(request))
 
 
-@app.command
-def compare(request: tyro.conf.OmitArgPrefixes[compare_commands.Compare]) -> int:
+@_command()
+def compare(request: tyro.conf.OmitArgPrefixes[batch_commands.Compare]) -> None:
     """Show two plans, or two batches, side by side."""
     _pipeline()
-    try:
-        compare_commands.run_compare(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    batch_commands.run_compare(request)
 
 
-@app.command
-def serve(request: tyro.conf.OmitArgPrefixes[service_commands.Serve]) -> int:
+@_command()
+def serve(request: tyro.conf.OmitArgPrefixes[service_commands.Serve]) -> None:
     """Serve Tandem over HTTP, with a page for browsers."""
-    try:
-        service_commands.serve(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    service_commands.serve(request)
 
 
-@app.command
-def token(action: service_commands.Token) -> int:
+@_command()
+def token(action: service_commands.Token) -> None:
     """Make, list or revoke the tokens of a service."""
-    try:
-        service_commands.token(action)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    service_commands.token(action)
 
 
-@app.command
-def audit(request: tyro.conf.OmitArgPrefixes[service_commands.Audit]) -> int:
+@_command()
+def audit(request: tyro.conf.OmitArgPrefixes[service_commands.Audit]) -> None:
     """List who did what with the jobs of a service."""
-    try:
-        service_commands.audit(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    service_commands.audit(request)
 
 
-@app.command
-def backup(request: tyro.conf.OmitArgPrefixes[service_commands.BackUp]) -> int:
+@_command()
+def backup(request: tyro.conf.OmitArgPrefixes[service_commands.BackUp]) -> None:
     """Back up the store of a service, which may run meanwhile."""
-    try:
-        service_commands.back_up(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    service_commands.back_up(request)
 
 
-@app.command
-def restore(request: tyro.conf.OmitArgPrefixes[service_commands.Restore]) -> int:
+@_command()
+def restore(request: tyro.conf.OmitArgPrefixes[service_commands.Restore]) -> None:
     """Restore a backup of a service into a new data folder."""
-    try:
-        service_commands.restore(request)
-    except TandemError as error:
-        return _refused(error, BAD_INPUT)
-    return DONE
+    service_commands.restore(request)
 
 
-@app.command
-def issues() -> int:
+@_command()
+def issues() -> None:
     """List every issue code with its meaning, and what a problem may accept."""
     from planner.issue_codes import all_codes
 
@@ -511,7 +429,6 @@ def issues() -> int:
         may = " (may be accepted)" if row.accepts else ""
         table.add_row(code, row.meaning + may)
     out.print(table)
-    return DONE
 
 
 def main() -> None:
@@ -583,10 +500,6 @@ def _pipeline() -> ModuleType:
 def _processes() -> int:
     """Processes for one plan: two where there are two cores for this one."""
     return min(2, batch_commands.usable_cores())
-
-
-def _infeasible_code(error: TandemError) -> int:
-    return BAD_INPUT if given_wrong(error.issues) else NO_PLAN
 
 
 def _refused(error: TandemError, code: int) -> int:
