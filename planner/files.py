@@ -7,16 +7,18 @@ are those of what plans depend on.
 
 from __future__ import annotations
 
+import csv
 import errno
 import fcntl
 import hashlib
+import io
 import os
 import re
 import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -92,6 +94,13 @@ def not_by_commas(header: str) -> str | None:
         if mark in header and "," not in header:
             return f"columns are separated by {name}; separate them by commas, and write decimals with points"
     return None
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Format rows as CSV with line ends of one character."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

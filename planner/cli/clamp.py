@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
-from planner.cli.preparation import write_output
+from planner.cli.console import plain_out as out
+from planner.cli.console import require_suffix, write_output
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
         Plate,
         Readings,
     )
-
-out = Console(highlight=False, soft_wrap=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,9 +57,7 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
     if sheet is None:
         what = f"{problem.name}: has a block and no sheet; give the problem whose clamp was pressed"
         raise TandemError(Issue("forming.no_sheet", what, field="problem"))
-    if request.output is not None and request.output.suffix.lower() != ".html":
-        what = f"{request.output.name}: a page is .html; name it so"
-        raise TandemError(Issue("output.folder", what, field="output"))
+    require_suffix(request.output, "a page is .html", (".html",))
     thickness = float(problem.stock.size[2])
     tolerance = 0.05 * thickness if request.thickness_tol_mm is None else request.thickness_tol_mm * MM
     place = np.array(request.place_mm) * MM
@@ -120,9 +116,7 @@ def _row(table: Table, name: str, one: Estimate, unit: float, digits: int) -> No
 def _page(
     request: CalibrateClamp, problem: Problem, plate: Plate, readings: Readings, found: Calibration
 ) -> str:
-    import numpy as np
-
-    from planner.report import exhibits, markup
+    from planner.report import exhibits
 
     shown = {
         "test": {
@@ -137,11 +131,9 @@ def _page(
             ),
         }
     }
-    figures, _ = exhibits.draw(shown, np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
-    sections = (markup.Section("test", "Plate test", (markup.Grid(tuple(figures)),)),)
-    about = markup.Paragraph(
+    about = (
         f"Fit: border {found.border}, thickness {found.thickness.value / MM:.3f} mm of "
         f"{plate.thickness / MM:g} ordered, kappa {found.kappa.value:.3f}."
     )
     title = f"Plate test {request.readings.name} of {problem.name}"
-    return markup.page(markup.Page(title, title, (), about, (), sections))
+    return exhibits.page(title, ("test", "Plate test"), shown, about)

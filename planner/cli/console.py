@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from planner.issues import Issue, Severity
+from planner.files import write_whole
+from planner.issues import Issue, Severity, TandemError
 
 if TYPE_CHECKING:
     from planner.plans import Plan
@@ -19,6 +21,8 @@ SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severi
 """Style of issues in the terminal, by severity."""
 
 out = Console()
+plain_out = Console(highlight=False, soft_wrap=True)
+"""Console for sentences: numbers keep the colour of the text, and long lines are not wrapped."""
 err = Console(stderr=True)
 
 
@@ -28,6 +32,38 @@ def print_issues(found: tuple[Issue, ...]) -> None:
         err.print(
             str(issue), style=SEVERITY_STYLE[issue.severity], markup=False, highlight=False, soft_wrap=True
         )
+
+
+def require_suffix(path: Path | None, allowed: str, suffixes: Sequence[str], field: str = "output") -> None:
+    """Require that the name of a file, if any, has one of the endings ``suffixes``.
+
+    Args:
+        path: File to write.
+        allowed: Clause that names what is allowed, such as "a page is .html".
+        suffixes: Endings, in lower case.
+        field: Option that names the file.
+
+    Raises:
+        TandemError: The name has another ending (``output.folder``).
+    """
+    if path is not None and path.suffix.lower() not in suffixes:
+        what = f"{path.name}: {allowed}; name it so"
+        raise TandemError(Issue("output.folder", what, field=field))
+
+
+def write_file(path: Path, content: str | bytes) -> None:
+    """Write a requested file, whole or not at all. Raises ``TandemError`` (``output.folder``)."""
+    try:
+        write_whole(path, content)
+    except OSError as error:
+        what = f"{path}: cannot be written ({error.strerror}); choose another place"
+        raise TandemError(Issue("output.folder", what, field="output")) from error
+
+
+def write_output(path: Path, text: str, done: str = "written to") -> None:
+    """Write a requested file and print where it is. Raises ``TandemError`` (``output.folder``)."""
+    write_file(path, text)
+    plain_out.print(f"{done} {escape(str(path))}")
 
 
 def print_accepted(codes: Sequence[str]) -> None:

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
+from planner.cli.console import plain_out as out
 from planner.files import claim_folder, write_folder, write_whole
 from planner.issues import Issue
-
-out = Console(highlight=False, soft_wrap=True)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,9 +7,7 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
-import io
 import json
 import time
 from collections.abc import Iterator, Sequence
@@ -17,11 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from planner.cli.batch import usable_cores
-from planner.cli.preparation import write_output
+from planner.cli.console import plain_out as out
+from planner.cli.console import require_suffix, write_output
+from planner.files import csv_text
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
@@ -35,10 +34,7 @@ if TYPE_CHECKING:
     from planner.processes.forming.plan.springback.control_points import ControlPoints
     from planner.processes.forming.plan.springback.curves import Curve, PassSpringback, Point
 
-out = Console(highlight=False, soft_wrap=True)
 
-SUFFIXES = (".csv", ".html")
-"""Endings of files that the table or the page are written to."""
 LEAST_TRIANGLES = 300
 """Triangles of an elastic sheet that say anything at all."""
 LEAST_WRITTEN = 3000
@@ -85,12 +81,8 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     from planner.processes.forming.plan.springback import forecast, released
     from planner.processes.forming.plan.springback.curves import TRIANGLES
 
-    if request.output is not None and request.output.suffix.lower() not in SUFFIXES:
-        what = f"{request.output.name}: a page is .html, a table .csv; name it so"
-        raise TandemError(Issue("output.folder", what, field="output"))
-    if request.curves is not None and request.curves.suffix.lower() != ".json":
-        what = f"{request.curves.name}: a file of curves is .json; name it so"
-        raise TandemError(Issue("output.folder", what, field="curves"))
+    require_suffix(request.output, "a page is .html, a table .csv", (".csv", ".html"))
+    require_suffix(request.curves, "a file of curves is .json", (".json",), "curves")
     for name, value, least in (
         ("most_points", request.most_points, 1),
         ("triangles", request.triangles, LEAST_TRIANGLES),
@@ -102,9 +94,7 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
         what = f"got {request.triangles}, allowed {LEAST_WRITTEN} at least with --write: the proof "
         what += "works some of a springback file out on finer meshes and takes 3 percent"
         raise TandemError(Issue("forming.springback_mode", what, field="triangles", hint="leave it out"))
-    if request.write is not None and request.write.suffix.lower() != ".json":
-        what = f"{request.write.name}: a springback file is .json; name it so"
-        raise TandemError(Issue("output.folder", what, field="write"))
+    require_suffix(request.write, "a springback file is .json", (".json",), "write")
     job = forming_job(problem, request.operation)
     work = job.planned
     forecast.require_mode(work)
@@ -287,28 +277,24 @@ def _span(values: Any, digits: int) -> str:
 def _csv(found: Sequence[PassSpringback]) -> str:
     from planner.processes.forming.plan.springback.forecast import rows
 
-    text, data = io.StringIO(), rows(found)
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(data[0])
-    for row in data:
-        table.writerow([" ".join(map(str, v)) if isinstance(v, list) else v for v in row.values()])
-    return text.getvalue()
+    data = rows(found)
+    plain = [[" ".join(map(str, v)) if isinstance(v, list) else v for v in row.values()] for row in data]
+    return csv_text([[*data[0]], *plain])
 
 
 def _page(problem: Problem, work: Work, shown: dict[str, Any]) -> str:
     import numpy as np
 
-    from planner.report import exhibits, markup
+    from planner.report import exhibits
 
     block = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]]) * problem.stock.size
-    figures, _ = exhibits.draw(shown, block)
-    sections = (markup.Section("springback", "Springback", (markup.Grid(tuple(figures)),)),)
-    about = markup.Paragraph(
+    about = (
         "The sheet as formed so far is an elastic shell, loaded where the tool is; nothing of what happens "
         "when it is unclamped or trimmed is in this."
     )
     title = f"Springback of {work.operation.name}"
-    return markup.page(markup.Page(title, f"{problem.name}: {title}", (), about, (), sections))
+    section = ("springback", "Springback")
+    return exhibits.page(title, section, shown, about, block, f"{problem.name}: {title}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -332,9 +318,7 @@ def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
     """Work out, run, print and write; warnings come back. Raises `TandemError`."""
     from planner.loops import machine
 
-    if request.output is not None and request.output.suffix.lower() != ".html":
-        what = f"{request.output.name}: a page is .html; name it so"
-        raise TandemError(Issue("output.folder", what, field="output"))
+    require_suffix(request.output, "a page is .html", (".html",))
     file = machine.read_machine(request.machine)
     operation = forming_job(problem, request.operation).operation
     if len(operation.arms) != 2:
@@ -382,9 +366,7 @@ def _print_control(file: MachineFile, found: Found, feed: float) -> None:
 
 
 def _control_page(name: str, file: MachineFile, found: Found) -> str:
-    import numpy as np
-
-    from planner.report import exhibits, markup
+    from planner.report import exhibits
 
     band = [{"name": f"{sign:+g} N", "value": file.force_n + sign} for sign in (-file.band_n, file.band_n)]
     runs = (
@@ -420,10 +402,6 @@ def _control_page(name: str, file: MachineFile, found: Found) -> str:
         }
         for key, title, run in runs
     }
-    figures, _ = exhibits.draw(shown, np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
-    sections = (markup.Section("control", "Force over time", (markup.Grid(tuple(figures)),)),)
-    about = markup.Paragraph(
-        "A simulation with the figures of the machine's file; nothing was measured here."
-    )
+    about = "A simulation with the figures of the machine's file; nothing was measured here."
     title = f"Force control of {name} with {file.name}"
-    return markup.page(markup.Page(title, title, (), about, (), sections))
+    return exhibits.page(title, ("control", "Force over time"), shown, about)

@@ -6,9 +6,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 import time
 from collections.abc import Sequence
@@ -16,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
-from planner.cli.preparation import write_output
+from planner.cli.console import plain_out as out
+from planner.cli.console import require_suffix, write_output
+from planner.files import csv_text
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
 
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from planner.loops.next_loop import Law, Offsets
     from planner.loops.simulate import Run
     from planner.reading.forces_file import Measured
-
-out = Console(highlight=False, soft_wrap=True)
 
 CURVES = "springback.json"
 """Where curves stand in a result folder, unless a file is named."""
@@ -102,7 +99,7 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     from planner.loops.job_border import job_border, require_settling
     from planner.reading.forces_file import Measured, read_forces
 
-    _require_suffix(request.output, (".csv", ".json", ".html"))
+    require_suffix(request.output, "a file is .csv, .json, .html", (".csv", ".json", ".html"))
     plan, law = _plan(request.folder, request.law), _law(request.law)
     if request.kappa is not None and not LEAST_KAPPA <= request.kappa <= MOST_KAPPA:
         raise TandemError(_out_of_range("kappa", request.kappa, f"{LEAST_KAPPA:g} to {MOST_KAPPA:g}"))
@@ -231,12 +228,6 @@ def _out_of_range(name: str, value: float, allowed: str) -> Issue:
     return Issue("forming.loop_law", f"got {value:g}, allowed {allowed}", field=name, hint="correct it")
 
 
-def _require_suffix(path: Path | None, allowed: Sequence[str]) -> None:
-    if path is not None and path.suffix.lower() not in allowed:
-        what = f"{path.name}: a file is {', '.join(allowed)}; name it so"
-        raise TandemError(Issue("output.folder", what, field="output"))
-
-
 def _kappa(plan: LoopPlan, measured: Any) -> float:
     """Springback of the sheet over that of the model, by the lifts of a file. Raises ``TandemError``
     (forming.loop_forces) where a lift is far from what the model says."""
@@ -290,14 +281,12 @@ def _print_offsets(
 
 def _csv(plan: LoopPlan, number: int, told: Offsets, kappa: float, already: FloatArray | None = None) -> str:
     del kappa
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
     deeper = [] if already is None else ["file_mm"]
-    table.writerow(["level", "place", "x_mm", "y_mm", "z_mm", "offset_mm", *deeper])
+    rows: list[list[object]] = [["level", "place", "x_mm", "y_mm", "z_mm", "offset_mm", *deeper]]
     for k, (point, offset) in enumerate(zip(plan.levels[number].path, told.offset, strict=True)):
         by_file = [] if already is None else [f"{already[k] / MM:.4f}"]
-        table.writerow([number, k, *(f"{value:.3f}" for value in point / MM), f"{offset / MM:.4f}", *by_file])
-    return text.getvalue()
+        rows.append([number, k, *(f"{value:.3f}" for value in point / MM), f"{offset / MM:.4f}", *by_file])
+    return csv_text(rows)
 
 
 def _json(plan: LoopPlan, number: int, told: Offsets, kappa: float, already: FloatArray | None = None) -> str:
@@ -393,14 +382,10 @@ def _lifts(plan: LoopPlan, measured: Measured, kappa: float) -> dict[str, Any]:
 
 
 def _page(title: str, shown: dict[str, Any]) -> str:
-    import numpy as np
+    from planner.report import exhibits
 
-    from planner.report import exhibits, markup
-
-    figures, _ = exhibits.draw(shown, np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
-    sections = (markup.Section("loop", "Loop from level to level", (markup.Grid(tuple(figures)),)),)
-    about = markup.Paragraph("Where the loop settles, by the model's springback and forces.")
-    return markup.page(markup.Page(title, title, (), about, (), sections))
+    about = "Where the loop settles, by the model's springback and forces."
+    return exhibits.page(title, ("loop", "Loop from level to level"), shown, about)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -431,7 +416,7 @@ def run_simulate_loop(request: SimulateLoop) -> tuple[Issue, ...]:
     from planner.loops.plant import read_plant
     from planner.loops.simulate import run
 
-    _require_suffix(request.output, (".html",))
+    require_suffix(request.output, "a file is .html", (".html",))
     if not 1 <= request.sheets <= MOST_SHEETS:
         raise TandemError(_out_of_range("sheets", request.sheets, f"1 to {MOST_SHEETS}"))
     if not 0 <= request.seed <= MOST_SEED:

@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from planner.cli.console import require_suffix
 from planner.files import is_file
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -46,9 +47,7 @@ def write_level(
     from planner.processes.forming.plan.springback import compensation_file, level_file
     from planner.reading.problem import build
 
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        what = f"{path.name}: a problem is .yaml; name it so"
-        raise TandemError(Issue("output.folder", what, field="problem"))
+    require_suffix(path, "a problem is .yaml", (".yaml", ".yml"), "problem")
     require_free(path, problem, "level")
     if number > 0 and before_mm is None:
         what = f"got no shift at which level {number - 1} ended"

@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from rich.tree import Tree
 
+from planner.cli.console import plain_out as out
+from planner.cli.console import require_suffix, write_output
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from planner.processes.hotwire.plan.kerf.width import KerfEstimate
     from planner.shopfloor.align.probing import ProbedPoints
     from planner.shopfloor.align.rigid_fit import Alignment
-
-out = Console(highlight=False, soft_wrap=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -287,8 +286,6 @@ def _print_points(found: Alignment, points: ProbedPoints, bad: set[str | None]) 
     out.print(table)
 
 
-OUTPUT_SUFFIXES = (".html", ".svg", ".json")
-"""Endings of files that drawings or the table are written to."""
 LEVEL_ANGLE = 0.5 * DEG
 """What leans less is no wall."""
 
@@ -324,9 +321,7 @@ def run_features(request: Features) -> tuple[Issue, ...]:
     from planner.processes.forming.plan.features.tree import LEAST_BUMP, build
     from planner.reading.sheet import smooth_face
 
-    if request.output is not None and request.output.suffix.lower() not in OUTPUT_SUFFIXES:
-        what = f"{request.output.name}: a drawing is .html or .svg, a table .json; name it so"
-        raise TandemError(Issue("output.folder", what, field="output"))
+    require_suffix(request.output, "a drawing is .html or .svg, a table .json", (".html", ".svg", ".json"))
     path = bundled(request.part)
     stated = None if request.tolerance_mm is None else request.tolerance_mm * MM
     face = smooth_face(read_mesh(path, LENGTH_UNITS[request.unit]), stated, path)
@@ -353,19 +348,6 @@ def run_features(request: Features) -> tuple[Issue, ...]:
             drawn = feature_page.drawing_page(tree, f"Features of {request.part.name}")
         write_output(request.output, drawn, "written to" if kind == ".json" else "drawn in")
     return (*face.notes, *tree.issues)
-
-
-def write_output(path: Path, text: str, done: str = "written to") -> None:
-    """Write a file that was asked for, whole or not at all, and say so. Raises `TandemError`
-    (output.folder)."""
-    from planner.files import write_whole
-
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        what = f"{path}: cannot be written ({error.strerror}); choose another place"
-        raise TandemError(Issue("output.folder", what, field="output")) from error
-    out.print(f"{done} {escape(str(path))}")
 
 
 def _table(tree: FeatureTree, mesh: Mesh) -> dict[str, Any]:

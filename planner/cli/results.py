@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from planner.cli.console import write_file
 from planner.files import write_whole
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
@@ -102,14 +103,17 @@ def export(
         raise TandemError(Issue("problem.field", what, field="machine"))
     problem, made = planned_result(folder)
     if machine is not None:
-        return _written(output, _milled(Path(folder), problem, made, machine, reverse).encode("ascii"))
+        write_file(output, _milled(Path(folder), problem, made, machine, reverse).encode("ascii"))
+        return output
     at = cad_export.moment(problem, made, seconds)
     cut = cad_export.simulated(Path(folder) / "simulated_part.obj")
     shapes = cad_export.shapes(cell_model(problem, made, at.setup), problem, made, at, cut)
     if output.suffix.lower() == ".glb":
-        return _written(output, cad_export.glb(shapes))
+        write_file(output, cad_export.glb(shapes))
+        return output
     lines, targets = cad_export.lines(problem, made, at), cad_export.targets(problem, made)
-    return _written(output, rhino_file.rhino(itertools.chain(shapes, lines, targets)))
+    write_file(output, rhino_file.rhino(itertools.chain(shapes, lines, targets)))
+    return output
 
 
 def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: str) -> str:
@@ -133,12 +137,3 @@ def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: s
     each = zip(problem.operations, made.operations, strict=True)
     ways = [inverse_time.way_of(own, done.targets, done.values, done.time) for own, done in each]
     return inverse_time.program(problem.name, ways, state.convention(machine, reverse))
-
-
-def _written(output: Path, content: bytes) -> Path:
-    try:
-        write_whole(output, content)
-    except OSError as error:
-        what = f"{output}: cannot be written ({error.strerror}); choose another place"
-        raise TandemError(Issue("output.folder", what, field="output")) from error
-    return output

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
+from planner.cli.console import plain_out as out
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from planner.catalogue.robots import RobotData
     from planner.reading.urdf import UrdfChain, UrdfShape
-
-out = Console(highlight=False, soft_wrap=True)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,19 +6,18 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
-from planner.cli.preparation import write_output
+from planner.cli.console import plain_out as out
+from planner.cli.console import require_suffix, write_output
+from planner.files import csv_text
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
 
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from planner.shopfloor.scan.cloud import Cloud
     from planner.shopfloor.scan.deviation import Deviation
     from planner.shopfloor.scan.registration import Pose
-
-out = Console(highlight=False, soft_wrap=True)
 
 MOST_DRAWN = 40_000
 """Places of a picture at most."""
@@ -92,7 +89,7 @@ def run_scan_fit(request: ScanFit) -> tuple[Issue, ...]:
     from planner import pipeline
     from planner.shopfloor.scan import deviation, freedoms
 
-    _require_suffix(request.output, (".csv", ".html"), "output")
+    require_suffix(request.output, "a file is .csv or .html", (".csv", ".html"))
     problem = pipeline.load_result(request.folder)
     cloud, _, pose, found = _measured(problem, request.scan, request.options)
     _print(cloud, pose, found)
@@ -114,8 +111,8 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     from planner.processes.forming.plan.springback.compensation_file import belongs_to
     from planner.shopfloor.scan import adjustment, deviation, freedoms
 
-    _require_suffix(request.output, (".yaml", ".yml"), "output")
-    _require_suffix(request.page, (".html",), "page")
+    require_suffix(request.output, "a file is .yaml or .yml", (".yaml", ".yml"))
+    require_suffix(request.page, "a file is .html", (".html",), "page")
     if not 0.1 <= request.gain <= 1.2:
         what = f"got {request.gain:g}, allowed 0.1 to 1.2"
         raise TandemError(Issue("forming.loop_law", what, field="gain", hint="correct it"))
@@ -192,12 +189,6 @@ def _write(request: Adjust, problem: Problem, operation: str, text: str, limits:
         return pipeline.save(build(document, registry.readers()), request.output, True)
 
 
-def _require_suffix(path: Path | None, allowed: Sequence[str], field: str) -> None:
-    if path is not None and path.suffix.lower() not in allowed:
-        what = f"{path.name}: a file is {' or '.join(allowed)}; name it so"
-        raise TandemError(Issue("output.folder", what, field=field))
-
-
 def _print(cloud: Cloud, pose: Pose, found: Deviation) -> None:
     import numpy as np
 
@@ -271,25 +262,21 @@ def _rounds(made: Sequence[Adjusted]) -> dict[str, Any]:
 def _csv(found: Deviation) -> str:
     import numpy as np
 
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "off_mm"])
+    rows = [["x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "off_mm"]]
     for point, normal, off in zip(found.point / MM, found.normal, found.off / MM, strict=True):
         shown = f"{off:.4f}" if np.isfinite(off) else ""
-        table.writerow([*(f"{v:.4f}" for v in point), *(f"{v:.5f}" for v in normal), shown])
-    return text.getvalue()
+        rows.append([*(f"{v:.4f}" for v in point), *(f"{v:.5f}" for v in normal), shown])
+    return csv_text(rows)
 
 
 def _page(title: str, problem: Problem, cloud: Cloud, shown: dict[str, Any]) -> str:
     import numpy as np
 
-    from planner.report import exhibits, markup
+    from planner.report import exhibits
 
     block = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]]) * problem.stock.size
-    figures, _ = exhibits.draw(shown, block)
-    sections = (markup.Section("scan", "Scan", (markup.Grid(tuple(figures)),)),)
-    about = markup.Paragraph(
+    about = (
         f"{cloud.file}, SHA-256 {cloud.digest[:16]}, {len(cloud.points)} points, laid on the flat around the "
         "part. Positive is above the wanted face, or too shallow."
     )
-    return markup.page(markup.Page(title, title, (), about, (), sections))
+    return exhibits.page(title, ("scan", "Scan"), shown, about, block)

@@ -175,6 +175,8 @@ def _colours(value: FloatArray) -> list[str]:
     return [f"rgb({r:.0f} {g:.0f} {b:.0f})" for r, g, b in rgb]
 
 
+UNIT_BLOCK: Final = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+"""Corners of the block of exhibits that are drawn in none."""
 _HALF_WIDTH_COLUMNS = 6
 """Tables of more columns than this take the whole width."""
 
@@ -196,6 +198,29 @@ def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Block], l
         except (KeyError, TypeError, ValueError, IndexError, np.linalg.LinAlgError) as error:
             issues.append(_refused(name, kind, error))
     return figures, issues
+
+
+def page(
+    title: str,
+    section: tuple[str, str],
+    shown: Mapping[str, Any],
+    about: str,
+    block: FloatArray = UNIT_BLOCK,
+    name: str = "",
+) -> str:
+    """Draw exhibits as a page of its own.
+
+    Args:
+        title: Title of the page.
+        section: Anchor and title of its only section.
+        shown: Exhibits.
+        about: What they are of.
+        block: Lowest and highest corner of the block (2, 3) [m], for exhibits that are drawn in it.
+        name: Heading of the page, by default its title.
+    """
+    figures, _ = draw(shown, block)
+    sections = (markup.Section(*section, (markup.Grid(tuple(figures)),)),)
+    return markup.page(markup.Page(title, name or title, (), markup.Paragraph(about), (), sections))
 
 
 def setup_items(exhibits: Mapping[str, Any]) -> list[tuple[Phrase, Phrase]]:
