@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import yaml
@@ -25,6 +25,7 @@ REFERENCE_TEMPERATURE: Final = 20.0
 """Temperature [C] at which cold lengths and sections are measured."""
 
 Table = tuple[tuple[float, float], ...]
+_Kind = TypeVar("_Kind")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,20 +135,20 @@ def foams() -> dict[str, Foam]:
 
 def foam(name: str) -> Foam:
     """The foam of that name; raises `TandemError` (kerf.unknown_foam)."""
-    known = foams()
-    if name not in known:
-        text = f"foam: got {name!r}, allowed {', '.join(sorted(known))}"
-        hint = "take a foam that is built in, or fit your own test cuts: tandem kerf fit"
-        raise TandemError(Issue("kerf.unknown_foam", text, hint=hint))
-    return known[name]
+    hint = "take a foam that is built in, or fit your own test cuts: tandem kerf fit"
+    return _named(name, foams(), "foam", "kerf.unknown_foam", hint)
 
 
 def wire_material(name: str) -> WireMaterial:
     """The wire material of that name; raises `TandemError` (wire.unknown_material)."""
-    known = wire_materials()
+    hint = "take a material that is built in"
+    return _named(name, wire_materials(), "wire material", "wire.unknown_material", hint)
+
+
+def _named(name: str, known: dict[str, _Kind], what: str, code: str, hint: str) -> _Kind:
     if name not in known:
-        text = f"wire material: got {name!r}, allowed {', '.join(sorted(known))}"
-        raise TandemError(Issue("wire.unknown_material", text, hint="take a material that is built in"))
+        text = f"{what}: got {name!r}, allowed {', '.join(sorted(known))}"
+        raise TandemError(Issue(code, text, hint=hint))
     return known[name]
 
 
@@ -193,8 +194,8 @@ def _span(pair: list[float]) -> str:
     return f"{pair[0]:.3g} to {pair[1]:.3g}"
 
 
-def _read() -> dict[str, Any]:
-    with _MATERIALS_FILE.open(encoding="utf-8") as stream:
+def _read(file: Path = _MATERIALS_FILE) -> dict[str, Any]:
+    with file.open(encoding="utf-8") as stream:
         data: dict[str, Any] = yaml.safe_load(stream)
     return data
 
@@ -306,34 +307,34 @@ class SheetMetal:
 @functools.lru_cache(maxsize=1)
 def sheet_metals() -> dict[str, SheetMetal]:
     """All sheet metals by name."""
-    with _SHEETS_FILE.open(encoding="utf-8") as stream:
-        data: dict[str, Any] = yaml.safe_load(stream)
-    return {name: _sheet_metal(name, entry, data["limits"]) for name, entry in data["sheets"].items()}
+    return {name: _sheet_metal(name, *entry) for name, entry in _sheets().items()}
 
 
 def sheet_metal_figures() -> list[tuple[str, str, str, str, str]]:
     """All figures as people read them: metal's name and title, figure, value with its unit, source."""
-    with _SHEETS_FILE.open(encoding="utf-8") as stream:
-        data: dict[str, Any] = yaml.safe_load(stream)
-    out = []
+    return [
+        (name, str(entry["title"]), key, figure_text(value), str(value["source"]))
+        for name, (entry, own) in _sheets().items()
+        for key, value in own.items()
+    ]
+
+
+def _sheets() -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """The entry of each metal, and its figures with those of its wall angles."""
+    data = _read(_SHEETS_FILE)
+    out = {}
     for name, entry in data["sheets"].items():
         angles = entry["wall_angle"]
         angles = data["limits"][angles] if isinstance(angles, str) else angles
-        own = {key: value for key, value in entry.items() if _is_figure(value)}
-        own |= {f"wall_angle_{key}": value for key, value in angles.items()}
-        out += [(name, str(entry["title"]), key, figure_text(v), str(v["source"])) for key, v in own.items()]
+        own = {key: value for key, value in entry.items() if isinstance(value, dict) and "source" in value}
+        out[name] = entry, own | {f"wall_angle_{key}": value for key, value in angles.items()}
     return out
 
 
 def sheet_metal(name: str) -> SheetMetal:
     """The sheet metal of that name; raises `TandemError` (forming.unknown_metal)."""
-    known = sheet_metals()
-    if name not in known:
-        text = f"sheet metal: got {name!r}, allowed {', '.join(sorted(known))}"
-        raise TandemError(
-            Issue("forming.unknown_metal", text, hint="take the nearest one and state your own figures")
-        )
-    return known[name]
+    hint = "take the nearest one and state your own figures"
+    return _named(name, sheet_metals(), "sheet metal", "forming.unknown_metal", hint)
 
 
 def thickness_doubt(metal: SheetMetal, thickness: float) -> Issue | None:
@@ -355,19 +356,14 @@ def thickness_doubt(metal: SheetMetal, thickness: float) -> Issue | None:
     )
 
 
-def _sheet_metal(name: str, entry: dict[str, Any], limits: dict[str, Any]) -> SheetMetal:
+def _sheet_metal(name: str, entry: dict[str, Any], own: dict[str, Any]) -> SheetMetal:
     def number(key: str) -> float:
-        return float(entry[key]["value"])
+        return float(own[key]["value"])
 
     def pair(key: str) -> tuple[float, float]:
-        low, high = entry[key]["value"]
+        low, high = own[key]["value"]
         return float(low), float(high)
 
-    angles = entry["wall_angle"]
-    if isinstance(angles, str):
-        angles = limits[angles]
-    sources = {key: str(value["source"]) for key, value in entry.items() if _is_figure(value)}
-    sources |= {f"wall_angle_{key}": str(value["source"]) for key, value in angles.items()}
     tensile, thickness = pair("tensile"), pair("thickness")
     return SheetMetal(
         name=name,
@@ -379,12 +375,8 @@ def _sheet_metal(name: str, entry: dict[str, Any], limits: dict[str, Any]) -> Sh
         tensile_stress=0.5 * (tensile[0] + tensile[1]),
         tensile_range=tensile,
         density=number("density"),
-        wall_angle_single=float(angles["single"]["value"]) * DEG,
-        wall_angle_supported=float(angles["supported"]["value"]) * DEG,
+        wall_angle_single=number("wall_angle_single") * DEG,
+        wall_angle_supported=number("wall_angle_supported") * DEG,
         thickness_range=(thickness[0] * MM, thickness[1] * MM),
-        sources=sources,
+        sources={key: str(value["source"]) for key, value in own.items()},
     )
-
-
-def _is_figure(value: object) -> bool:
-    return isinstance(value, dict) and "source" in value

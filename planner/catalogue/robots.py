@@ -82,8 +82,8 @@ class ArmForm:
 
     @property
     def shoulder(self) -> float:
-        """From axis 1 to the origin of link 2 [m], across the axis."""
-        raise NotImplementedError
+        """From axis 1 to the origin of link 2 [m], across the axis; 0 where axes 1 and 2 meet."""
+        return 0.0
 
     @property
     def _beyond(self) -> float:
@@ -135,17 +135,10 @@ class OpwParameters(OrthoParallel):
     @property
     def steps(self) -> FloatArray:
         """As :attr:`ArmForm.steps`; the wrist's three axes meet."""
-        return np.array(
-            [
-                (0.0, 0.0, 0.0),
-                (self.a1, self.b, self.c1),
-                (0.0, 0.0, self.c2),
-                (self.a2, 0.0, self.c3),
-                (0.0, 0.0, 0.0),
-                (0.0, 0.0, 0.0),
-                (0.0, 0.0, self.c4),
-            ]
-        )
+        ahead = (0.0, self.a1, 0.0, self.a2, 0.0, 0.0, 0.0)
+        across = (0.0, self.b, 0.0, 0.0, 0.0, 0.0, 0.0)
+        up = (0.0, self.c1, self.c2, self.c3, 0.0, 0.0, self.c4)
+        return np.stack([ahead, across, up], axis=1)
 
     @property
     def hand(self) -> float:
@@ -183,17 +176,10 @@ class OffsetParameters(OrthoParallel):
     @property
     def steps(self) -> FloatArray:
         """As :attr:`ArmForm.steps`; axes 4 and 5 meet."""
-        return np.array(
-            [
-                (0.0, 0.0, 0.0),
-                (self.a1, 0.0, self.c1),
-                (0.0, 0.0, self.c2),
-                (self.a2, 0.0, self.c3),
-                (0.0, 0.0, 0.0),
-                (self.a3, self.b3, 0.0),
-                (0.0, 0.0, self.c4),
-            ]
-        )
+        ahead = (0.0, self.a1, 0.0, self.a2, 0.0, self.a3, 0.0)
+        across = (0.0, 0.0, 0.0, 0.0, 0.0, self.b3, 0.0)
+        up = (0.0, self.c1, self.c2, self.c3, 0.0, 0.0, self.c4)
+        return np.stack([ahead, across, up], axis=1)
 
     @property
     def hand(self) -> float:
@@ -246,11 +232,6 @@ class ParallelParameters(ArmForm):
         """From axis 1 to axis 4, at most [m]."""
         return self.c2 + self.c3
 
-    @property
-    def shoulder(self) -> float:
-        """0: axes 1 and 2 meet."""
-        return 0.0
-
 
 @dataclasses.dataclass(frozen=True)
 class SevenParameters(ArmForm):
@@ -280,18 +261,9 @@ class SevenParameters(ArmForm):
     @property
     def steps(self) -> FloatArray:
         """As :attr:`ArmForm.steps`; axes 2 and 3 meet, and 5 and 6."""
-        return np.array(
-            [
-                (0.0, 0.0, 0.0),
-                (0.0, 0.0, self.c1),
-                (0.0, 0.0, 0.0),
-                (self.a2, 0.0, self.c2),
-                (self.a3, 0.0, self.c3),
-                (0.0, 0.0, 0.0),
-                (self.a4, 0.0, 0.0),
-                (0.0, 0.0, self.c4),
-            ]
-        )
+        ahead = (0.0, 0.0, 0.0, self.a2, self.a3, 0.0, self.a4, 0.0)
+        up = (0.0, self.c1, 0.0, self.c2, self.c3, 0.0, 0.0, self.c4)
+        return np.stack([ahead, np.zeros(8), up], axis=1)
 
     @property
     def upper(self) -> float:
@@ -317,11 +289,6 @@ class SevenParameters(ArmForm):
     def stretched(self) -> float:
         """From axis 1 to where axes 5 and 6 meet, at most [m]."""
         return self.upper + self.fore
-
-    @property
-    def shoulder(self) -> float:
-        """0: axes 1 and 2 meet."""
-        return 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -535,9 +502,9 @@ def _table() -> dict[str, RobotData]:
 def _read(name: str, entry: dict[str, Any]) -> RobotData:
     limits = np.array(entry["limits_deg"], dtype=np.float64) * DEG
     velocity = np.array(entry["velocity_deg_s"], dtype=np.float64) * DEG
-    kind: Any = OpwParameters if "opw_m" in entry else OffsetParameters
-    lengths = entry["opw_m"] if "opw_m" in entry else entry["offset_wrist_m"]
-    length = {key: float(value) for key, value in lengths.items()}
+    spherical = "opw_m" in entry
+    kind: Any = OpwParameters if spherical else OffsetParameters
+    lengths = entry["opw_m" if spherical else "offset_wrist_m"]
     rise = float(entry["full_speed_after_s"])
     coupled = entry.get("coupled_deg")
     acceleration = f"acceleration: assumed, every axis reaches its full speed in {rise:g} s from rest"
@@ -547,7 +514,7 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         family=entry["family"],
         controller=entry["controller"],
         form=kind(
-            **length,
+            **{key: float(value) for key, value in lengths.items()},
             offsets=_frozen(np.array(entry["offset_deg"], dtype=np.float64) * DEG),
             signs=_frozen(np.array(entry["sign"], dtype=np.float64)),
         ),

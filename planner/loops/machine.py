@@ -7,13 +7,12 @@ claimed without this file.
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from planner.geometry.units import MM
 from planner.issues import Issue, Severity, TandemError
@@ -97,24 +96,7 @@ class MachineFile(Strict):
 def read_machine(path: Path) -> MachineFile:
     """The machine of a file. Raises `TandemError`: control.machine for every wrong field, with its line, and
     what `strict_yaml.read` raises."""
-    document = strict_yaml.read(path)
-    try:
-        return MachineFile.model_validate_json(json.dumps(document.data), strict=True)
-    except ValidationError as error:
-        raise TandemError([_wrong(dict(one), document) for one in error.errors()]) from error
-
-
-def _wrong(fault: dict[str, object], document: strict_yaml.Document) -> Issue:
-    place = fault["loc"]
-    field = ".".join(map(str, place)) if isinstance(place, tuple) else ""
-    return Issue(
-        "control.machine",
-        f"{fault['msg']}; got {fault.get('input')!r:.80}",
-        file=str(document.path),
-        line=document.line(place if isinstance(place, tuple) else ()),
-        field=field,
-        hint="correct it, in the units of the field's name",
-    )
+    return strict_yaml.read_as(MachineFile, path, "control.machine")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,10 +22,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from planner.geometry.arrays import BoolArray, FloatArray
-from planner.issues import Issue, TandemError
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Name, Strict
 
@@ -106,25 +105,7 @@ class PlantFile(Strict):
 def read_plant(path: Path) -> PlantFile:
     """The plant of a YAML file. Raises `TandemError`: forming.loop_plant for every wrong field, and what
     `strict_yaml.read` raises."""
-    document = strict_yaml.read(path)
-    try:
-        return PlantFile.model_validate_json(json.dumps(document.data), strict=True)
-    except ValidationError as error:
-        raise TandemError([_wrong(dict(one), document) for one in error.errors()]) from error
-
-
-def _wrong(fault: dict[str, object], document: strict_yaml.Document) -> Issue:
-    place = fault["loc"]
-    steps = place if isinstance(place, tuple) else ()
-    field = ".".join(map(str, steps))
-    return Issue(
-        "forming.loop_plant",
-        f"{fault['msg']}; got {fault.get('input')!r:.80}",
-        file=str(document.path),
-        line=document.line(steps),
-        field=field,
-        hint="correct it, in the units of the field's name",
-    )
+    return strict_yaml.read_as(PlantFile, path, "forming.loop_plant")
 
 
 @dataclasses.dataclass(frozen=True)

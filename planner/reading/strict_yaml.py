@@ -8,12 +8,21 @@ their ranges.
 from __future__ import annotations
 
 import copy
+import json
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    ValidationError,
+    ValidationInfo,
+)
 
 from planner.files import FILE_KEYS, is_file, no_file
 from planner.issues import Issue, TandemError
@@ -360,6 +369,32 @@ class Strict(BaseModel):
     """Base of every schema: unknown keys and non-finite numbers are refused, values do not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+_Schema = TypeVar("_Schema", bound=Strict)
+
+
+def read_as(model: type[_Schema], path: Path, code: str) -> _Schema:
+    """A file as a value of its schema. Raises `TandemError`: ``code`` for every wrong field, with its line,
+    and what `read` raises."""
+    document = read(path)
+
+    def wrong(what: str, got: object, place: tuple[str | int, ...]) -> Issue:
+        return Issue(
+            code,
+            f"{what}; got {got!r:.80}",
+            file=str(document.path),
+            line=document.line(place),
+            field=".".join(map(str, place)),
+            hint="correct it, in the units of the field's name",
+        )
+
+    try:
+        # as JSON, because its strict rules take a list for a tuple but no text for a number
+        return model.model_validate_json(json.dumps(document.data), strict=True)
+    except ValidationError as error:
+        faults = [wrong(one["msg"], one.get("input"), one["loc"]) for one in error.errors()]
+        raise TandemError(faults) from error
 
 
 def _word_or_mapping(value: object) -> str:

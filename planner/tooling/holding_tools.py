@@ -30,6 +30,25 @@ class OnFlange:
     shapes: tuple[Shape, ...]
 
 
+def leaning(tilt: float) -> FloatArray:
+    """How (3, 3) a tool stands on the flange that leans by ``tilt`` [rad] about the flange's y."""
+    return np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
+
+
+def ahead(distance: float, turn: FloatArray | None = None) -> FloatArray:
+    """The pose (4, 4) so far [m] along the z axis of a tool that is turned by ``turn`` (3, 3)."""
+    turn = np.eye(3) if turn is None else turn
+    return from_parts(turn, turn @ np.array([0.0, 0.0, distance]))
+
+
+def hull(points: FloatArray, pose: FloatArray) -> Shape:
+    """The convex solid around points (N, 3) in the frame ``pose``."""
+    import trimesh  # slow to import
+
+    found = trimesh.convex.convex_hull(points)
+    return Shape("mesh", (), pose, np.asarray(found.vertices), np.asarray(found.faces, dtype=np.int64))
+
+
 @dataclasses.dataclass(frozen=True)
 class PlainTool(OnFlange):
     """A tool of the user's own, of which no more is known."""
@@ -106,7 +125,7 @@ def wire_holder(
     block = corner - 0.046 * out
     post = 0.72 * block[0]
     shapes = (
-        Shape("cylinder", (plate_radius, 0.010), from_rpy((0.0, 0.0, 0.005), (0.0, 0.0, 0.0))),
+        _flange(plate_radius),
         Shape(
             "box",
             (0.026, 0.034, block[2] - 0.010),
@@ -209,8 +228,8 @@ def bow(
 
     half = 0.5 * span + 0.5 * TIP_SIZE[0]
     shapes = [
-        Shape("cylinder", (0.034, 0.010), from_rpy((0.0, 0.0, 0.005), (0.0, 0.0, 0.0))),
-        Shape("box", (0.040, 0.040, STEM_LENGTH), from_rpy((0.0, 0.0, 0.5 * STEM_LENGTH), (0.0, 0.0, 0.0))),
+        _flange(),
+        Shape("box", (0.040, 0.040, STEM_LENGTH), ahead(0.5 * STEM_LENGTH)),
         Shape("box", (2.0 * half + PRONG_WIDTH, BEAM_WIDTH, BEAM_WIDTH), at(0.0, 0.0)),
     ]
     for side in (-1.0, 1.0):
@@ -271,18 +290,11 @@ def gripper_plate(
             f"a gripper plate of {width * 1e3:g} x {depth * 1e3:g} mm at {reach * 1e3:g} mm; the plate goes "
             "from 20 to 2000 mm, its distance from the flange from 30 to 500 mm"
         )
+    stem = reach - PLATE_THICKNESS
     shapes = (
         _flange(),
-        Shape(
-            "box",
-            (0.050, 0.050, reach - PLATE_THICKNESS),
-            from_rpy((0.0, 0.0, 0.5 * (reach - PLATE_THICKNESS)), (0, 0, 0)),
-        ),
-        Shape(
-            "box",
-            (width, depth, PLATE_THICKNESS),
-            from_rpy((0.0, 0.0, reach - 0.5 * PLATE_THICKNESS), (0.0, 0.0, 0.0)),
-        ),
+        Shape("box", (0.050, 0.050, stem), ahead(0.5 * stem)),
+        Shape("box", (width, depth, PLATE_THICKNESS), ahead(reach - 0.5 * PLATE_THICKNESS)),
     )
     plate = ALUMINIUM_DENSITY * width * depth * PLATE_THICKNESS
     force = NEEDLE_PRESSURE * width * depth if holding is None else holding
@@ -302,26 +314,19 @@ def vacuum_cup(
             f"a cup of radius {radius * 1e3:g} mm at {reach * 1e3:g} mm; the radius goes from 10 to 500 mm, "
             "its distance from the flange from 30 to 500 mm"
         )
+    stem = reach - PLATE_THICKNESS
     shapes = (
         _flange(),
-        Shape(
-            "cylinder",
-            (0.020, reach - PLATE_THICKNESS),
-            from_rpy((0.0, 0.0, 0.5 * (reach - PLATE_THICKNESS)), (0, 0, 0)),
-        ),
-        Shape(
-            "cylinder",
-            (radius, PLATE_THICKNESS),
-            from_rpy((0.0, 0.0, reach - 0.5 * PLATE_THICKNESS), (0.0, 0.0, 0.0)),
-        ),
+        Shape("cylinder", (0.020, stem), ahead(0.5 * stem)),
+        Shape("cylinder", (radius, PLATE_THICKNESS), ahead(reach - 0.5 * PLATE_THICKNESS)),
     )
     plate = 0.5 * ALUMINIUM_DENSITY * np.pi * radius**2 * PLATE_THICKNESS
     force = SUCTION_PRESSURE * np.pi * radius**2 if holding is None else holding
     return _gripper(name or "vacuum_cup", reach, shapes, plate, (2.0 * radius, 2.0 * radius), float(force))
 
 
-def _flange() -> Shape:
-    return Shape("cylinder", (0.034, 0.010), from_rpy((0.0, 0.0, 0.005), (0.0, 0.0, 0.0)))
+def _flange(radius: float = 0.034) -> Shape:
+    return Shape("cylinder", (radius, 0.010), ahead(0.005))
 
 
 def _gripper(
@@ -333,13 +338,12 @@ def _gripper(
     holding: float,
 ) -> Gripper:
     mass = GRIPPER_HEAD_MASS + plate
+    middle = (GRIPPER_HEAD_MASS * 0.03 + plate * (reach - 0.006)) / mass
     return Gripper(
         name=name,
-        tcp=from_rpy((0.0, 0.0, reach), (0.0, 0.0, 0.0)),
+        tcp=ahead(reach),
         mass=round(float(mass), 3),
-        cog=np.array(
-            [0.0, 0.0, round(float((GRIPPER_HEAD_MASS * 0.03 + plate * (reach - 0.006)) / mass), 6)]
-        ),
+        cog=np.array([0.0, 0.0, round(float(middle), 6)]),
         shapes=shapes,
         footprint=footprint,
         holding=holding,

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, Shape, from_parts
-from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange
+from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange, ahead, hull, leaning
 from planner.tooling.working_tools import STEEL_DENSITY
 
 KNIFE_BODY: Final = (0.025, 0.200)
@@ -98,16 +98,13 @@ def knife(
             f"{KNIFE_HOLDER[1] * 1e3:g} mm, 10 mm of body and the blade must fit into the length, and the "
             "body is no thinner than the blade is wide"
         )
-    lean = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
+    lean = leaning(tilt)
     around = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     tcp = from_parts(lean @ around, lean @ np.array([0.0, 0.0, length]))
     middles = (0.5 * KNIFE_HOLDER[1], 0.5 * (KNIFE_HOLDER[1] + length - blade.length))
     held = length - blade.length - KNIFE_HOLDER[1]
     sizes = (KNIFE_HOLDER, (radius, held))
-    shapes = tuple(
-        Shape("cylinder", size, from_parts(lean, lean @ np.array([0.0, 0.0, middle])))
-        for size, middle in zip(sizes, middles, strict=True)
-    )
+    shapes = tuple(Shape("cylinder", size, ahead(z, lean)) for size, z in zip(sizes, middles, strict=True))
     densities = (ALUMINIUM_DENSITY, KNIFE_DENSITY)
     flesh = [np.pi * r**2 * size * d for (r, size), d in zip(sizes, densities, strict=True)]
     flesh.append(STEEL_DENSITY * blade.thickness * blade.width * blade.length)
@@ -135,7 +132,4 @@ def _solid(blade: Blade, tcp: FloatArray) -> Shape:
     points = np.concatenate(
         [np.column_stack([flat[:, 0], np.full(len(flat), y), -flat[:, 1]]) for y in (-half, half)]
     )
-    import trimesh  # slow to import
-
-    hull = trimesh.convex.convex_hull(points)
-    return Shape("mesh", (), tcp, np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))
+    return hull(points, tcp)

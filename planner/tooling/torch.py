@@ -7,8 +7,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, Shape, from_parts
-from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange
+from planner.geometry.arrays import FloatArray, Shape
+from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange, ahead, hull, leaning
 
 TorchKind = Literal["plasma", "laser", "waterjet"]
 """What a torch cuts with."""
@@ -65,22 +65,21 @@ def torch(
             f"a torch of {length * 1e3:g} mm is too short for its holder of {TORCH_HOLDER[1] * 1e3:g} mm, a "
             f"nozzle of {cone * 1e3:g} mm and 10 mm of body"
         )
-    turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
-    tcp = from_parts(turn, turn @ np.array([0.0, 0.0, length + standoff]))
-    middle = turn @ np.array([0.0, 0.0, 0.5 * TORCH_HOLDER[1]])
-    holder = Shape("cylinder", TORCH_HOLDER, from_parts(turn, middle))
+    turn = leaning(tilt)
+    tcp = ahead(length + standoff, turn)
+    holder = Shape("cylinder", TORCH_HOLDER, ahead(0.5 * TORCH_HOLDER[1], turn))
     back = length + standoff - TORCH_HOLDER[1]
     outline = np.array(
         [[standoff, nozzle], [standoff + cone, body], [back, body]]
     )  # behind the TCP, beside its axis
     flesh = TORCH_DENSITY * np.pi * float(np.trapezoid(outline[:, 1] ** 2, outline[:, 0]))
     held = ALUMINIUM_DENSITY * np.pi * TORCH_HOLDER[0] ** 2 * TORCH_HOLDER[1]
-    ahead = (flesh * 0.5 * (length + TORCH_HOLDER[1]) + held * 0.5 * TORCH_HOLDER[1]) / (flesh + held)
+    middle = (flesh * 0.5 * (length + TORCH_HOLDER[1]) + held * 0.5 * TORCH_HOLDER[1]) / (flesh + held)
     return Torch(
         name=f"{cuts_by}_torch",
         tcp=tcp,
         mass=flesh + held if mass is None else mass,
-        cog=turn @ np.array([0.0, 0.0, ahead]),
+        cog=turn @ np.array([0.0, 0.0, middle]),
         shapes=(holder,),
         cuts_by=cuts_by,
         standoff=standoff,
@@ -97,8 +96,5 @@ def _solid(outline: FloatArray, tcp: FloatArray) -> Shape:
     """The hull of rings around an outline (K, 2)."""
     around = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
     ring = np.stack([np.cos(around), np.sin(around)], axis=1) / np.cos(np.pi / _SIDES)
-    points = np.concatenate([np.column_stack([r * ring, np.full(_SIDES, -back)]) for back, r in outline])
-    import trimesh  # slow to import
-
-    hull = trimesh.convex.convex_hull(points)
-    return Shape("mesh", (), tcp, np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))
+    rows = [np.column_stack([r * ring, np.full(_SIDES, -back)]) for back, r in outline]
+    return hull(np.concatenate(rows), tcp)

@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, Shape, from_parts
-from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange
+from planner.tooling.holding_tools import ALUMINIUM_DENSITY, OnFlange, ahead, hull, leaning
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,13 +151,9 @@ def heat_tool(radius: float, length: float, standoff: float) -> FormingTool:
 
 
 def _forming_tool(name: str, head: FormingHead, length: float, tilt: float) -> FormingTool:
-    turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
-    frame = from_parts(turn, turn @ np.array([0.0, 0.0, length]))
-    holder = Shape(
-        "cylinder",
-        FORMING_HOLDER_SIZE,
-        from_parts(turn, turn @ np.array([0.0, 0.0, 0.5 * FORMING_HOLDER_SIZE[1]])),
-    )
+    turn = leaning(tilt)
+    frame = ahead(length, turn)
+    holder = Shape("cylinder", FORMING_HOLDER_SIZE, ahead(0.5 * FORMING_HOLDER_SIZE[1], turn))
     outline = profile(head)
     steel = np.pi * float(np.trapezoid(outline[:, 1] ** 2, outline[:, 0])) * STEEL_DENSITY
     aluminium = np.pi * FORMING_HOLDER_SIZE[0] ** 2 * FORMING_HOLDER_SIZE[1] * ALUMINIUM_DENSITY
@@ -179,18 +175,13 @@ def _forming_solid(head: FormingHead, tcp: FloatArray) -> Shape:
     """The head as one convex solid in the flange frame: a capsule where shaft and ball are alike, or the
     hull of rings."""
     if head.kind == "ball" and head.shaft_radius <= head.radius:
-        middle = from_parts(np.eye(3), np.array([0.0, 0.0, -0.5 * (head.length - head.radius)]))
-        return Shape("capsule", (head.radius, head.length - head.radius), tcp @ middle)
+        shaft = head.length - head.radius
+        return Shape("capsule", (head.radius, shaft), tcp @ ahead(-0.5 * shaft))
     outline, around = profile(head), np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     out = 1.0 / np.cos(np.pi / 24)  # rings around the circles, so that the hull holds them
     ring = np.stack([np.cos(around), np.sin(around)], axis=1) * out
-    points = np.concatenate(
-        [np.column_stack([r * ring, np.full(len(ring), -back)]) for back, r in outline if r > 0.0]
-    )
-    import trimesh  # slow to import
-
-    hull = trimesh.convex.convex_hull(points)
-    return Shape("mesh", (), tcp, np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))
+    rows = [np.column_stack([r * ring, np.full(len(ring), -back)]) for back, r in outline if r > 0.0]
+    return hull(np.concatenate(rows), tcp)
 
 
 SPINDLE_PLATE_SIZE: Final = (0.060, 0.020)
@@ -247,23 +238,18 @@ def mill(
     for length, around in (*holder, (spindle[1], spindle[0])):
         rings += [(back, around), (back + length, around)]
         back += length
-    cutter = Cutter(kind, radius, _corner(kind, radius, corner), flute, overhang, thick, np.array(rings))
+    corner = radius if kind == "ball" else corner
+    cutter = Cutter(kind, radius, corner, flute, overhang, thick, np.array(rings))
     middle = SPINDLE_PLATE_SIZE[1] + spindle[0] * abs(np.sin(tilt)) + 0.5 * spindle[1] * abs(np.cos(tilt))
-    turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
+    turn = leaning(tilt)
     tip = np.array([0.0, 0.0, middle]) + (back - 0.5 * spindle[1]) * turn[:, 2]
     tcp = from_parts(turn, tip)
-    shapes = [
-        Shape(
-            "cylinder",
-            SPINDLE_PLATE_SIZE,
-            from_parts(np.eye(3), np.array([0.0, 0.0, 0.5 * SPINDLE_PLATE_SIZE[1]])),
-        )
-    ]
+    shapes = [Shape("cylinder", SPINDLE_PLATE_SIZE, ahead(0.5 * SPINDLE_PLATE_SIZE[1]))]
     for (start, around), (end, _) in zip(rings[::2], rings[1::2], strict=True):
-        shapes.append(Shape("cylinder", (around, end - start), tcp @ _behind(0.5 * (start + end))))
+        shapes.append(Shape("cylinder", (around, end - start), tcp @ ahead(-0.5 * (start + end))))
     if abs(np.sin(tilt)) > 1e-6:
         wide, high = 2.0 * BRACKET_WIDTH_RATIO * spindle[0], middle
-        shapes.append(Shape("box", (wide, wide, high), _behind(-0.5 * high)))
+        shapes.append(Shape("box", (wide, wide, high), ahead(0.5 * high)))
     weights, places = _weights(cutter, tcp, shapes[0])
     return Mill(
         name=f"{kind}_mill",
@@ -297,23 +283,14 @@ def _check_mill(
         raise ValueError("the flute of a bull nose is as long as its corner's radius at least")
 
 
-def _corner(kind: CutterKind, radius: float, corner: float) -> float:
-    return radius if kind == "ball" else corner
-
-
-def _behind(distance: float) -> FloatArray:
-    """A place on the axis ``distance`` [m] behind the TCP, as a pose (4, 4) in its frame."""
-    return from_parts(np.eye(3), np.array([0.0, 0.0, -distance]))
-
-
 def _mill_solid(cutter: Cutter, tcp: FloatArray) -> Shape:
     """The cutter as one solid in the flange frame: a capsule for a ball nose on a shank no thicker than
     itself, else a cylinder that holds it."""
     if cutter.kind == "ball" and cutter.shank <= cutter.radius and cutter.overhang > 2.0 * cutter.radius:
         size = (cutter.radius, cutter.overhang - 2.0 * cutter.radius)
-        return Shape("capsule", size, tcp @ _behind(0.5 * cutter.overhang))
+        return Shape("capsule", size, tcp @ ahead(-0.5 * cutter.overhang))
     around = max(cutter.radius, cutter.shank)
-    return Shape("cylinder", (around, cutter.overhang), tcp @ _behind(0.5 * cutter.overhang))
+    return Shape("cylinder", (around, cutter.overhang), tcp @ ahead(-0.5 * cutter.overhang))
 
 
 def _weights(cutter: Cutter, tcp: FloatArray, plate: Shape) -> tuple[FloatArray, FloatArray]:
@@ -326,5 +303,5 @@ def _weights(cutter: Cutter, tcp: FloatArray, plate: Shape) -> tuple[FloatArray,
     for k, (start, end, around) in enumerate(rows):
         density = SPINDLE_DENSITY if k == len(rows) - 1 else STEEL_DENSITY
         flesh.append(np.pi * around**2 * (end - start) * density)
-        places.append((tcp @ _behind(0.5 * (start + end)))[:3, 3])
+        places.append((tcp @ ahead(-0.5 * (start + end)))[:3, 3])
     return np.array(flesh), np.array(places)
