@@ -91,6 +91,11 @@ class Motion:
     own_clearance: Clearance | None = None
     processes: tuple[ProcessMotion, ...] = ()
 
+    def figure(self, title: str, lines: Sequence[Line], unit: str, note: str = "", **more: Any) -> Figure:
+        """Lines over the time of the motion, with its segments; ``more`` as of `chart`."""
+        body = chart(lines, x_label="s", y_label=unit, bands=self.bands, **more)
+        return Figure(title, body, note)
+
     def wrist(self, arm: str) -> float:
         """Least wrist angle [rad] of an arm in the segments of the targets."""
         moved = self.arms[arm]
@@ -219,11 +224,9 @@ def feed(motion: Motion) -> Figure:
     work = np.isfinite(f.speed) & cut
     top = min(1.1 * fastest, 2.2 * float(np.max(f.upper[work])) / MM) if work.any() else 1.1 * fastest
     top = max(top, 1.2 * float(np.max(f.upper[work])) / MM) if work.any() else top
-    body = chart(lines, x_label="s", y_label="mm/s", bands=motion.bands, y_range=(0.0, top))
     note = f"scaled to the work; moves outside it reach {markup.number(fastest, 3)} mm/s"
-    return Figure(
-        "Speed of the fastest guarded point", body, note if fastest > top else "tinted strongest: work"
-    )
+    note = note if fastest > top else "tinted strongest: work"
+    return motion.figure("Speed of the fastest guarded point", lines, "mm/s", note, y_range=(0.0, top))
 
 
 def clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
@@ -242,15 +245,8 @@ def own_clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure
 def _distances(title: str, lines: Sequence[Line], wanted: float, data: Clearance, motion: Motion) -> Figure:
     """Distances over time [mm] with the ``wanted`` one [m]."""
     top = max([float(np.nanmax(line.y)) for line in lines if np.isfinite(line.y).any()] or [100.0])
-    body = chart(
-        lines,
-        x_label="s",
-        y_label="mm",
-        bands=motion.bands,
-        levels=[Level(wanted / MM, "asked for")],
-        y_range=(0.0, min(top * 1.1, 150.0) + 1.0),
-    )
-    return Figure(title, body, least_words(data))
+    levels, y_range = [Level(wanted / MM, "asked for")], (0.0, min(top * 1.1, 150.0) + 1.0)
+    return motion.figure(title, lines, "mm", least_words(data), levels=levels, y_range=y_range)
 
 
 def least_words(data: Clearance) -> str:
@@ -262,18 +258,10 @@ def least_words(data: Clearance) -> str:
 
 def drawn(charts: Sequence[TimeChart], motion: Motion) -> list[Figure]:
     """Charts that processes add, with the segments of the motion."""
-    out = []
-    for one in charts:
-        body = chart(
-            one.lines,
-            x_label="s",
-            y_label=one.unit,
-            bands=motion.bands,
-            levels=one.levels,
-            y_range=one.y_range,
-        )
-        out.append(Figure(one.title, body, one.note))
-    return out
+    return [
+        motion.figure(one.title, one.lines, one.unit, one.note, levels=one.levels, y_range=one.y_range)
+        for one in charts
+    ]
 
 
 def closest_pairs(data: Clearance, count: int = 6) -> tuple[Figure, ...]:
@@ -333,16 +321,11 @@ def margins(motion: Motion, settings: Settings, proof: Proof | None) -> list[Fig
             for i, ((name, arm), value) in enumerate(zip(motion.arms.items(), shown, strict=True))
         ]
         lowest = min((float(np.min(line.y)) for line in lines), default=0.0)
-        body = chart(
-            lines,
-            x_label="s",
-            y_label="deg",
-            bands=motion.bands,
-            levels=[Level(limit / DEG, "asked for")],
-            y_range=(min(0.0, lowest), max([float(np.max(line.y)) for line in lines] or [1.0]) * 1.08),
-        )
+        highest = max([float(np.max(line.y)) for line in lines] or [1.0])
+        y_range = (min(0.0, lowest), highest * 1.08)
         note = f"{told}: {markup.fixed(least, 1)}°" if np.isfinite(least) else ""
-        out.append(Figure(title, body, note))
+        levels = [Level(limit / DEG, "asked for")]
+        out.append(motion.figure(title, lines, "deg", note, levels=levels, y_range=y_range))
     return out
 
 
@@ -356,17 +339,11 @@ def joints(name: str, arm: ArmMotion, motion: Motion) -> list[Figure]:
         air = max(0.15 * (high - low), 8.0)
         near = [Level(v, f"{v:.0f}°") for v in (lower, upper) if low - 40.0 < v < high + 40.0]
         shown = [level.value for level in near]
-        body = chart(
-            [Line(f"axis {k + 1}", arm.time, angle, k)],
-            x_label="s",
-            y_label="deg",
-            bands=motion.bands,
-            levels=near,
-            y_range=(min([low - air, *(v - 3 for v in shown)]), max([high + air, *(v + 3 for v in shown)])),
-            size=(340.0, 150.0),
-        )
+        y_range = min([low - air, *(v - 3 for v in shown)]), max([high + air, *(v + 3 for v in shown)])
         share = f"{low:.1f}° to {high:.1f}° of {lower:.0f}° to {upper:.0f}°".replace("-", "−")
-        out.append(Figure(f"{name}, axis {k + 1}", body, share))
+        lines, size = [Line(f"axis {k + 1}", arm.time, angle, k)], (340.0, 150.0)
+        title = f"{name}, axis {k + 1}"
+        out.append(motion.figure(title, lines, "deg", share, levels=near, y_range=y_range, size=size))
     return out
 
 
@@ -375,31 +352,17 @@ def speeds(name: str, arm: ArmMotion, motion: Motion, settings: Settings) -> lis
     out = []
     shares = [("speed", arm.speed, arm.robot.velocity, settings.speed_fraction)]
     if arm.acceleration is not None:
-        shares.append(
-            (
-                "acceleration",
-                np.asarray(arm.acceleration),
-                arm.robot.acceleration,
-                settings.acceleration_fraction,
-            )
-        )
+        most = settings.acceleration_fraction
+        shares.append(("acceleration", np.asarray(arm.acceleration), arm.robot.acceleration, most))
     for what, value, limit, fraction in shares:
         share = 100.0 * np.abs(value) / limit
         most = float(np.nanmax(share))
         lines = [Line(f"axis {k + 1}", arm.time, share[:, k], k) for k in range(arm.robot.axes)]
-        body = chart(
-            lines,
-            x_label="s",
-            y_label="% of limit",
-            bands=motion.bands,
-            levels=[Level(100.0 * fraction, "allowed")],
-            y_range=(
-                0.0,
-                most * 1.15 + 1e-6 if most < 40.0 * fraction else max(most * 1.1, 108.0 * fraction),
-            ),
-        )
+        high = most * 1.15 + 1e-6 if most < 40.0 * fraction else max(most * 1.1, 108.0 * fraction)
+        levels = [Level(100.0 * fraction, "allowed")]
         top = int(np.nanargmax(np.nanmax(share, axis=0)))
         allowed = f"{100 * fraction:.0f} % are allowed"
         note = f"highest: axis {top + 1}, {markup.fixed(most, 1)} % of its limit; {allowed}"
-        out.append(Figure(f"{name}: joint {what}s", body, note))
+        title = f"{name}: joint {what}s"
+        out.append(motion.figure(title, lines, "% of limit", note, levels=levels, y_range=(0.0, high)))
     return out
