@@ -8,7 +8,6 @@ in place of the flat sheet.
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -18,6 +17,7 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.plans import Plan
 from planner.report import charts, markup
+from planner.report.time_bar import embedded
 
 PER_MM: Final = 100.0
 """Heights and deviations are whole numbers of 1 mm over this."""
@@ -91,7 +91,6 @@ def switch(plan: Plan) -> str:
     for sheet in sheets:
         sheet["limit"] = limit
     bar = ",".join(sheets[0]["colours"])
-    packed = json.dumps(sheets, separators=(",", ":")).replace("<", "\\u003c")
     notes = "".join(f"<p>{html.escape(note)}</p>" for note in dict.fromkeys(s["note"] for s in sheets))
     end = markup.number(limit)
     return (
@@ -101,5 +100,5 @@ def switch(plan: Plan) -> str:
         f"<div class='ends'><span>−{end} mm</span><span>0</span><span>+{end} mm</span></div>"
         "<p>Colour: off the wanted part; blue too deep, red too shallow. Grey, seen through: the sheet "
         f"under the tools.</p>{notes}</div></div>"
-        f"<script type='application/json' id='released'>{packed}</script><script>{_SCRIPT}</script>"
+        f"{embedded('released', sheets)}<script>{_SCRIPT}</script>"
     )

@@ -26,7 +26,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Shape, axis_ends, inverse, transform
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem, Setup
-from planner.report import raster, scene
+from planner.report import raster
 from planner.report.raster import Solid
 from planner.tooling import Bow, Mill, working_solid
 
@@ -423,7 +423,7 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
     travels = axis_way.travels(problem, plan.places)
     here = {arm.name: np.asarray(arm.home) for arm in problem.cell.arms}
     for index, operation in enumerate(plan.operations):
-        setup = setups[scene.setup_index(problem, index)]
+        setup = setups[setup_index(problem, index)]
         if setup.steps and setup.operations[0] == index:
             _setup_pause(rows, setup, index, here)
         if travels:
@@ -532,7 +532,7 @@ def edge_in_world(setup: Setup, plan: Plan, operation: OperationPlan) -> FloatAr
     if frame == "stock":
         return transform(np.asarray(plan.places[setup.number - 1]), points)
     arm = setup.cell.arm(frame.removeprefix("held:"))
-    pose = scene.flange_poses(arm, plan.bases, operation.q[arm.name]) @ arm.tool.tcp
+    pose = flange_poses(arm, plan.bases, operation.q[arm.name]) @ arm.tool.tcp
     return np.asarray(np.einsum("nij,npj->npi", pose[:, :3, :3], points) + pose[:, None, :3, 3])
 
 
@@ -584,13 +584,13 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, problem: Problem, 
     nearest = np.where(share > 1e-9, right, left)
     segments = tuple(rows.segment[i] for i in nearest)
     operation = np.array(rows.operation)[nearest]
-    index = np.array([scene.setup_index(problem, i) for i in range(len(plan.operations))] or [0])
+    index = np.array([setup_index(problem, i) for i in range(len(plan.operations))] or [0])
     setup = index[operation]
     block = np.empty((len(pick), 4, 4))
     for k in np.unique(setup):
         own = setup == k
         held = {arm: values[own] for arm, values in q.items()}
-        block[own] = scene.block_pose(problem.setups[k], plan.places[k], plan.bases, held)
+        block[own] = block_pose(problem.setups[k], plan.places[k], plan.bases, held)
     stands = {name: mix(np.concatenate(parts)) for name, parts in rows.stands.items()}
     table = problem.cell.turntable
     if table is not None:
@@ -634,7 +634,7 @@ def _sweeps(
                 continue
             keys = np.concatenate([[max(run[0] - 1, 0)], run]) if run[0] > 0 else run
             setup = problem.setup_of(index)
-            arm = scene.cutter(setup, made.targets.arms)
+            arm = cutter(setup, made.targets.arms)
             if made.targets.edge is not None:
                 to_block = inverse(block[keys])
                 points = wire[keys] @ np.swapaxes(to_block[:, :3, :3], 1, 2) + to_block[:, None, :3, 3]
@@ -642,10 +642,9 @@ def _sweeps(
                 joints = {name: values[keys] for name, values in q.items()}
                 place = plan.places[setup.number - 1]
                 own_bases = {
-                    name: scene.ridden_base(setup.cell.arm(name), stands[name][keys])
-                    for name in made.targets.ride
+                    name: ridden_base(setup.cell.arm(name), stands[name][keys]) for name in made.targets.ride
                 }
-                points = scene.wire_in_block(setup, arm, place, {**plan.bases, **own_bases}, joints)
+                points = wire_in_block(setup, arm, place, {**plan.bases, **own_bases}, joints)
             else:
                 continue
             out.append(Sweep(setup.number - 1, keys, points))
