@@ -69,17 +69,9 @@ def _planning() -> Solve:
 
     models = plant.keep_models()
 
-    def with_kept_models(
-        name: str,
-        source: Path,
-        result: Path,
-        origins: Mapping[str, str],
-        on_progress: OnProgress,
-        on_issues: OnIssues,
-        reports: Reports,
-    ) -> Done:
+    def with_kept_models(*order: Any) -> Done:
         models.next_job()
-        return solve(name, source, result, origins, on_progress, on_issues, reports)
+        return solve(*order)
 
     return with_kept_models
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime as dt
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
@@ -199,12 +201,10 @@ Token = tyro.conf.OmitSubcommandPrefixes[
 
 def serve(asked: Serve) -> None:
     """Serve until told to stop; raises ``TandemError`` where it cannot start."""
-    try:
+    with _installed():
         from planner.service import app as server
         from planner.service.security import Limits
         from planner.service.service import Options
-    except ImportError as error:
-        raise TandemError(not_installed(error)) from error
 
     limits = Limits(
         upload_mb=asked.upload_mb,
@@ -260,11 +260,11 @@ def _oidc(asked: Serve, issuer: str) -> Oidc:
 def token(asked: Add | List | Revoke | Drafts) -> None:
     """Make, list or end tokens; raises ``TandemError``."""
     database = _opened(asked, make=not isinstance(asked, Drafts))
-    from planner.service.security import Auth
+    from planner.service.security import Auth, lasts
 
     auth = Auth(database)
     if isinstance(asked, Add):
-        lasts_s = None if asked.expires is None else _lasts(asked.expires)
+        lasts_s = None if asked.expires is None else lasts(asked.expires)
         made = auth.make(asked.name, asked.role, asked.team, lasts_s, asked.scope, asked.tag)
         sys.stdout.write(f"{made}\n")
     elif isinstance(asked, Revoke):
@@ -302,11 +302,9 @@ def _drafts(asked: Drafts, database: Database) -> None:
 
 def audit(asked: Audit) -> None:
     """List what was done in a store; raises ``TandemError``."""
-    try:
+    with _installed():
         from planner.service import audit as log
         from planner.service.models import moment
-    except ImportError as error:
-        raise TandemError(not_installed(error)) from error
     found = log.everything(_opened(asked), asked.job, asked.act, max(asked.most, 1))
     for one in found:
         if asked.json:
@@ -320,20 +318,16 @@ def audit(asked: Audit) -> None:
 
 def back_up(asked: BackUp) -> None:
     """Make a backup; raises ``TandemError``."""
-    try:
+    with _installed():
         from planner.service import backup
-    except ImportError as error:
-        raise TandemError(not_installed(error)) from error
     made = backup.back_up(asked.data, asked.database, asked.folder)
     _tell(f"{asked.folder}: a backup of {made.jobs} jobs, {made.files} files, {made.size / 1e6:,.1f} MB")
 
 
 def restore(asked: Restore) -> None:
     """Restore a backup; raises ``TandemError``."""
-    try:
+    with _installed():
         from planner.service import backup
-    except ImportError as error:
-        raise TandemError(not_installed(error)) from error
     made = backup.restore(asked.folder, asked.data, asked.database)
     _tell(f"{asked.data}: restored {made.jobs} jobs, {made.files} files, {made.size / 1e6:,.1f} MB")
     from planner.service.security import Auth
@@ -350,17 +344,20 @@ def _tell(what: str) -> None:
     out.print(what, highlight=False, markup=False, soft_wrap=True)
 
 
-def not_installed(error: ImportError) -> Issue:
-    """What to install for the service."""
-    return Issue("service.install", f"the service needs {error.name or error}", hint=INSTALL)
+@contextlib.contextmanager
+def _installed() -> Iterator[None]:
+    """Imports for the service; raises ``TandemError``, which says what to install."""
+    try:
+        yield
+    except ImportError as error:
+        what = f"the service needs {error.name or error}"
+        raise TandemError(Issue("service.install", what, hint=INSTALL)) from error
 
 
 def _opened(asked: _Store, make: bool = False) -> Database:
     """The store that a command works on, made where there is none and that is asked for."""
-    try:
+    with _installed():
         from planner.service.models import Database, default_url
-    except ImportError as error:
-        raise TandemError(not_installed(error)) from error
     if asked.database is None and make:
         try:
             asked.data.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -371,12 +368,6 @@ def _opened(asked: _Store, make: bool = False) -> Database:
         what = f"data folder {asked.data}: there is no store in it; give --data as the service has it"
         raise TandemError(Issue("service.start", what, field="data"))
     return Database(asked.database or default_url(asked.data))
-
-
-def _lasts(text: str) -> float:
-    from planner.service.security import lasts
-
-    return lasts(text)
 
 
 def _moment(seconds: float | None) -> str:

@@ -151,32 +151,28 @@ def static(name: str) -> Response:
 
 
 @page_router.get("/ui/examples")
-def examples(owner: Caller) -> dict[str, Any]:
+def examples(_: Caller) -> dict[str, Any]:
     """Bundled problems."""
-    del owner
     return bundled.problems()
 
 
 @page_router.get("/ui/example-elements")
-def example_elements(owner: Caller) -> dict[str, Any]:
+def example_elements(_: Caller) -> dict[str, Any]:
     """Bundled building elements."""
-    del owner
     return bundled.elements()
 
 
 @page_router.get("/ui/example")
-def one(owner: Caller, name: Annotated[str, Query(max_length=200)]) -> dict[str, Any]:
+def one(_: Caller, name: Annotated[str, Query(max_length=200)]) -> dict[str, Any]:
     """A bundled problem as data."""
-    del owner
     return bundled.problem(name)
 
 
 @page_router.get("/ui/example/file")
 def example_file(
-    owner: Caller, name: Annotated[str, Query(max_length=200)], file: Annotated[str, Query(max_length=200)]
+    _: Caller, name: Annotated[str, Query(max_length=200)], file: Annotated[str, Query(max_length=200)]
 ) -> FileResponse:
     """A file of a bundled problem."""
-    del owner
     return FileResponse(bundled.file(name, file), media_type="application/octet-stream")
 
 

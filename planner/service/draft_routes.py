@@ -101,9 +101,8 @@ class Planned(Sent):
     job: str = Field(pattern=JOB_ID.pattern, max_length=32)
 
 
-def own_draft(draft: str, owner: Caller, who: Asker, here: Here) -> str:
+def own_draft(draft: str, _: Caller, who: Asker, here: Here) -> str:
     """The id of a draft, if it is the caller's or his team's; raises :class:`RefusedError`, 404."""
-    del owner  # may do what is asked
     if not JOB_ID.fullmatch(draft) or not here.auth.sees(who, here.drafts.owner(draft)):
         raise unknown_draft(draft)
     return draft
@@ -159,7 +158,7 @@ async def create(
 
 @router.get("", responses=refusals(422), summary="List your drafts")
 def page(
-    owner: Caller,
+    _: Caller,
     who: Asker,
     here: Here,
     kind: Annotated[list[DraftKind] | None, Query(description="these kinds alone")] = None,
@@ -167,7 +166,6 @@ def page(
     cursor: CURSOR = None,
 ) -> DraftList:
     """Yours and those of your team, a page at a time."""
-    del owner
     rows, following = here.drafts.page(here.auth.owners(who), kind or (), limit, cursor)
     return DraftList(drafts=[_told(row) for row in rows], next=following)
 

@@ -30,7 +30,7 @@ from planner.service.models import (
     moment,
     utc,
 )
-from planner.service.security import LOCAL, MB, Limits, RefusedError, Who, too_large
+from planner.service.security import LOCAL, MB, Limits, RefusedError, Who, too_large, too_many
 from planner.service.storage import Blob, Upload
 
 VERSIONS: Final = 100
@@ -57,8 +57,7 @@ class Drafts:
             most, have = self._limits.drafts, int(db.execute(mine).scalar_one())
             if have >= most:
                 what = f"{have} drafts, cells, tools and templates are kept, at most {most} may be; "
-                issue = Issue("service.too_many", f"{what}delete some", limit=most)
-                raise RefusedError(429, issue, {"Retry-After": "60"})
+                raise too_many(f"{what}delete some", 60, most)
             now = self._database.clock()
             row = {"id": draft, "owner": who.token, "kind": kind, "title": title or UNTITLED, "version": 1}
             db.execute(insert(DRAFTS).values(**row, created=now, changed=now))

@@ -50,9 +50,8 @@ UPLOADS: Final = {"requestBody": documented(_FILE)}
 """How the description of the interface tells of a body that is an element."""
 
 
-def own_element(element: str, owner: Caller, who: Asker, here: Here) -> str:
+def own_element(element: str, _: Caller, who: Asker, here: Here) -> str:
     """The id of an element, if it is the caller's or his team's; raises :class:`RefusedError`, 404."""
-    del owner  # may do what is asked
     return element_of(element, who, here)
 
 
@@ -93,7 +92,7 @@ async def create(request: Request, owner: Caller, here: Here, key: Key) -> Eleme
 )
 def page(
     request: Request,
-    owner: Caller,
+    _: Caller,
     who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
@@ -106,7 +105,6 @@ def page(
 ) -> Response:
     """Yours and those of your team, a page at a time; 304 for who asks again with ``If-None-Match`` and has
     it as it is."""
-    del owner
     wanted = Wanted((), search, tag or (), sort, cursor)
     found, following = here.elements.page(here.auth.owners(who), wanted, limit)
     return tagged(request, ElementList(elements=found, next=following))

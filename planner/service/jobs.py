@@ -63,7 +63,7 @@ from planner.service.models import (
     Withdrawal,
     utc,
 )
-from planner.service.security import LOCAL, Auth, Limits, RefusedError, issue_json, unknown_job
+from planner.service.security import LOCAL, Auth, Limits, RefusedError, issue_json, too_many, unknown_job
 from planner.service.storage import Blob
 
 STORE: Final = "store"
@@ -355,9 +355,7 @@ class Jobs:
         if kept + len(new) > self._limits.kept_jobs:
             more = f", {len(new)} more are wanted" if len(new) > 1 else ""
             what = f"{kept} jobs are kept{more}, at most {self._limits.kept_jobs} may be; delete old ones"
-            raise RefusedError(
-                429, Issue("service.too_many", what, limit=self._limits.kept_jobs), {"Retry-After": "60"}
-            )
+            raise too_many(what, 60, self._limits.kept_jobs)
 
     def _allow_open(self, db: Connection, owner: str, more: int = 1) -> None:
         mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
@@ -372,13 +370,9 @@ class Jobs:
         waiting += int(db.execute(elements).scalar_one())
         if waiting + max(more, 1) > self._limits.open_jobs:
             wanted = f", {more} more are wanted" if more > 1 else ""
-            what = (
-                f"{waiting} jobs wait or run{wanted}, at most {self._limits.open_jobs} may; wait for some, "
-            )
-            what += "or cancel"
-            raise RefusedError(
-                429, Issue("service.too_many", what, limit=self._limits.open_jobs), {"Retry-After": "10"}
-            )
+            most = self._limits.open_jobs
+            what = f"{waiting} jobs wait or run{wanted}, at most {most} may; wait for some, or cancel"
+            raise too_many(what, 10, most)
 
 
 def record_event(db: Connection, job: str, kind: str, data: Mapping[str, Any]) -> None:
@@ -457,31 +451,28 @@ def issues_json(issues: Sequence[Issue]) -> str:
     return json.dumps([issue_json(issue) for issue in issues])
 
 
+_AS_STORED: Final = (
+    *("id", "name", "state", "stage", "digest", "seconds", "attempts"),
+    *("timeout_s", "memory_mb", "title", "notes"),
+)
+"""What is sent of a job as the store has it."""
+
+
 def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
     """A row as it is sent."""
     return JobOut(
-        id=row["id"],
-        name=row["name"],
-        state=row["state"],
-        stage=row["stage"],
+        **{name: row[name] for name in _AS_STORED},
         fraction=min(max(row["fraction"], 0.0), 1.0),
         processes=json.loads(row["processes"]),
         by=row["made_by"],
-        digest=row["digest"],
         created=utc(row["created"]),
         started=None if row["started"] is None else utc(row["started"]),
         finished=None if row["finished"] is None else utc(row["finished"]),
-        seconds=row["seconds"],
-        attempts=row["attempts"],
         from_store=bool(row["from_store"]),
         ahead=ahead,
-        timeout_s=row["timeout_s"],
-        memory_mb=row["memory_mb"],
         issues=[Issue.from_dict(issue) for issue in json.loads(row["issues"])],
         metrics=json.loads(row["metrics"]),
-        title=row["title"],
         tags=finding.tags_of(row),
-        notes=row["notes"],
         released=row["release_who"] is not None and row["release_withdrawn"] is None,
         release=_release(row),
         thumbnail=bool(row["thumbnail"]),
@@ -491,12 +482,15 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
 def _release(row: RowMapping) -> Release | None:
     if row["release_who"] is None:
         return None
-    withdrawn = None
-    if row["release_withdrawn"] is not None:
-        at = utc(row["release_withdrawn"])
-        withdrawn = Withdrawal(by=row["release_withdrawn_who"], at=at, reason=row["release_reason"])
-    at, note = utc(row["release_at"]), row["release_note"]
-    return Release(by=row["release_who"], at=at, note=note, withdrawn=withdrawn)
+    return release_of({name: row[f"release_{name}"] for name in _RELEASE})
+
+
+def release_of(row: Mapping[Any, Any]) -> Release:
+    """A release as it is sent, from the columns that `_RELEASE` names."""
+    by, at, withdrawn = row["withdrawn_who"], row["withdrawn"], None
+    if at is not None:
+        withdrawn = Withdrawal(by=by, at=utc(at), reason=row["reason"])
+    return Release(by=row["who"], at=utc(row["at"]), note=row["note"], withdrawn=withdrawn)
 
 
 LAST_RELEASE: Final = and_(RELEASES.c.job == JOBS.c.id, RELEASES.c.number == JOBS.c.releases)
@@ -591,7 +585,7 @@ class Hub:
         """A stream of an owner; raises :class:`RefusedError`, 429, where there are too many."""
         if self._of_owner.get(owner, 0) >= self._limits.streams:
             what = f"{self._limits.streams} streams of events are open, and no more may be; close some"
-            raise RefusedError(429, Issue("service.too_many", what), {"Retry-After": "10"})
+            raise too_many(what, 10)
         self._of_owner[owner] = self._of_owner.get(owner, 0) + 1
         try:
             yield

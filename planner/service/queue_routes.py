@@ -56,10 +56,9 @@ def first(found: OwnJob, here: Here) -> JobOut:
     response_model_exclude_none=True,
     summary="How long a job may still take",
 )
-def estimate(found: OwnJob, owner: Caller, who: Asker, here: Here) -> EstimateOut:
+def estimate(found: OwnJob, _: Caller, who: Asker, here: Here) -> EstimateOut:
     """By medians of the stages of like jobs that were proven: of the same processes, yours or your team's.
     Where there are none, nothing is estimated."""
-    del owner
     return here.estimates.of(found, here.auth.owners(who), time.time())
 
 

@@ -13,8 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Final
 
-from planner.issues import Issue
-from planner.service.security import RefusedError
+from planner.service.security import too_many
 
 BURST_S: Final = 10.0
 """What may come at once is what may come in so long [s]."""
@@ -49,5 +48,4 @@ class Rates:
         if empty:
             wait = math.ceil((1.0 - held) / self._per_s)
             told = f"{what} more than {self._per_s:g} requests a second, or {most:g} at once; "
-            issue = Issue("service.too_many", f"{told}ask again in {wait} s", limit=self._per_s, unit="1/s")
-            raise RefusedError(429, issue, {"Retry-After": str(wait)})
+            raise too_many(f"{told}ask again in {wait} s", wait, self._per_s, "1/s")

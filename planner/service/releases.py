@@ -16,7 +16,7 @@ from sqlalchemy import Connection, RowMapping, insert, select, update
 
 from planner.issues import Issue
 from planner.service import audit
-from planner.service.jobs import job_files, job_row
+from planner.service.jobs import job_files, job_row, release_of
 from planner.service.models import (
     JOBS,
     RELEASES,
@@ -25,7 +25,6 @@ from planner.service.models import (
     Release,
     ReleaseOut,
     Shown,
-    Withdrawal,
     moment,
     utc,
 )
@@ -288,18 +287,6 @@ def _not_releasable(job: str, what: str, way: str) -> RefusedError:
 
 
 def _out(job: RowMapping, row: RowMapping) -> ReleaseOut:
-    withdrawn = None
-    if row["withdrawn"] is not None:
-        at = utc(row["withdrawn"])
-        withdrawn = Withdrawal(by=row["withdrawn_who"], at=at, reason=row["reason"])
-    return ReleaseOut(
-        by=row["who"],
-        at=utc(row["at"]),
-        note=row["note"],
-        withdrawn=withdrawn,
-        job=row["job"],
-        name=job["name"],
-        digest=row["digest"],
-        proof=row["proof"],
-        programs=json.loads(row["programs"]),
-    )
+    of = {name: row[name] for name in ("job", "digest", "proof")}
+    programs = json.loads(row["programs"])
+    return ReleaseOut(**dict(release_of(row)), **of, name=job["name"], programs=programs)

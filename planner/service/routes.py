@@ -169,10 +169,9 @@ def caller(request: Request, who: Asker) -> str:
 Caller = Annotated[str, Depends(caller)]
 
 
-def own_job(job: str, owner: Caller, who: Asker, here: Here) -> JobOut:
+def own_job(job: str, _: Caller, who: Asker, here: Here) -> JobOut:
     """The job, if it is the caller's or his team's; raises :class:`RefusedError`, 404 for another one's too,
     so that nobody learns which there are."""
-    del owner  # may do what is asked
     return job_of(job, who, here)
 
 
@@ -333,9 +332,8 @@ def ready(here: Here, response: Response) -> Ready:
 @about_router.get(
     "/metrics", responses=ASKED, response_class=PlainTextResponse, summary="Figures for Prometheus"
 )
-def figures(owner: Caller, here: Here) -> PlainTextResponse:
+def figures(_: Caller, here: Here) -> PlainTextResponse:
     """In Prometheus's text format: of this instance since its start, but jobs and files of the store."""
-    del owner
     told = metrics.text(
         here.jobs.counts(),
         here.jobs.oldest_waiting(),
@@ -347,9 +345,8 @@ def figures(owner: Caller, here: Here) -> PlainTextResponse:
 
 
 @about_router.get("/v1/processes", responses=ASKED, summary="The processes")
-def known_processes(owner: Caller) -> dict[str, str]:
+def known_processes(_: Caller) -> dict[str, str]:
     """What each one does, by the word that problem files use."""
-    del owner
     from planner.processes import registry
 
     return {name: " ".join((m.__doc__ or "").split()) for name, m in registry.schemas().items()}
@@ -360,37 +357,33 @@ def known_processes(owner: Caller) -> dict[str, str]:
     responses=ASKED | refusals(404),
     summary="JSON schema of a process's operation",
 )
-def process_schema(name: str, owner: Caller) -> dict[str, Any]:
+def process_schema(name: str, _: Caller) -> dict[str, Any]:
     """The fields of an operation, with ranges, defaults and help; units end their names."""
-    del owner
     from planner.service import catalogue
 
     return catalogue.process(name)
 
 
 @about_router.get("/v1/schema", responses=ASKED, summary="JSON schema of problem files")
-def problem_schema(owner: Caller) -> dict[str, Any]:
+def problem_schema(_: Caller) -> dict[str, Any]:
     """The whole file with the operations of all processes."""
-    del owner
     from planner.service import catalogue
 
     return catalogue.problem_file()
 
 
 @about_router.get("/v1/catalogue/{kind}", responses=ASKED | refusals(422), summary="What is built in")
-def catalogue_of(kind: Kind, owner: Caller) -> Catalogue:
+def catalogue_of(kind: Kind, _: Caller) -> Catalogue:
     """Robots and materials with the sources of their figures, tools with their schemas, cells as problem
     files may have them inside."""
-    del owner
     from planner.service import catalogue
 
     return Catalogue(entries=catalogue.entries(kind))
 
 
 @about_router.get("/v1/issues", responses=ASKED, summary="Issue codes")
-def issue_codes(owner: Caller) -> dict[str, str]:
+def issue_codes(_: Caller) -> dict[str, str]:
     """Every code with its meaning."""
-    del owner
     return {code: row.meaning for code, row in all_codes().items()}
 
 
@@ -636,7 +629,7 @@ async def cell(
 @job_router.get("/jobs", response_model=JobList, responses=KNOWN | refusals(422), summary="List your jobs")
 def page(
     request: Request,
-    owner: Caller,
+    _: Caller,
     who: Asker,
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
@@ -648,7 +641,6 @@ def page(
 ) -> Response:
     """Yours and those of your team, a page at a time; 304 for who asks again with
     ``If-None-Match`` and has it as it is."""
-    del owner
     tags = [*(tag or ()), *([] if who.tag is None else [who.tag])]
     wanted = Wanted(state or (), search, tags, sort, cursor, released=who.scope == "released")
     found, following = here.jobs.page(here.auth.owners(who), wanted, limit)

@@ -112,6 +112,12 @@ def unknown_job(job: str) -> RefusedError:
     return RefusedError(404, Issue("service.unknown_job", f"job {job[:40]!r}: there is none; list the jobs"))
 
 
+def too_many(what: str, again_s: int, limit: float | None = None, unit: str | None = None) -> RefusedError:
+    """429, for who may ask again in ``again_s`` [s]."""
+    issue = Issue("service.too_many", what, limit=limit, unit=unit)
+    return RefusedError(429, issue, {"Retry-After": str(again_s)})
+
+
 def too_large(what: str, limit_mb: float, field: str | None = None) -> RefusedError:
     """413."""
     message = f"{what} is larger than the {limit_mb:g} MB that this service takes; send less, or fewer facets"

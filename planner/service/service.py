@@ -38,7 +38,7 @@ from planner.service.pieces import Pieces, Read
 from planner.service.rates import FAILURES_PER_S, Rates
 from planner.service.releases import Releases
 from planner.service.runner import Runner, Team, Work
-from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
+from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError, too_many
 from planner.service.storage import Blob, Files, Storage, Upload
 from planner.service.texts import begin
 from planner.service.upload_processes import Examiners, Reading, connection_closed
@@ -215,7 +215,7 @@ class Service:
         most = self.limits.readings
         if owner != LOCAL and self._waiting[owner] >= most:
             what = f"{most} uploads of this token wait to be read, as many as may; send this one later"
-            raise RefusedError(429, Issue("service.too_many", what, limit=most), {"Retry-After": "5"})
+            raise too_many(what, 5, most)
         self._waiting[owner] += 1
         try:
             yield

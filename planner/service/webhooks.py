@@ -32,7 +32,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from planner.issues import Issue
 from planner.service.models import DELIVERIES, JOBS, TOKENS, WEBHOOKS, Database
-from planner.service.security import LOCAL, RefusedError, in_clear
+from planner.service.security import LOCAL, RefusedError, in_clear, too_many
 
 LOG: Final = logging.getLogger("planner.service")
 """Log of the service."""
@@ -166,7 +166,7 @@ class Webhooks:
             mine = select(func.count()).select_from(WEBHOOKS).where(WEBHOOKS.c.owner == owner)
             if db.execute(mine).scalar_one() >= MOST:
                 what = f"there are {MOST} webhooks of this token, as many as may be; delete one"
-                raise RefusedError(429, Issue("service.too_many", what, limit=MOST), {"Retry-After": "60"})
+                raise too_many(what, 60, MOST)
             db.execute(insert(WEBHOOKS).values(row))
             return db.execute(select(WEBHOOKS).where(WEBHOOKS.c.id == number)).mappings().one()
 
