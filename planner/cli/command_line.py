@@ -65,7 +65,7 @@ def _command(
             except TandemError as error:
                 return _refused(error, code(error))
 
-        app.command(run, name=name)
+        app.command(name=name)(run)
         return run
 
     return registered
