@@ -482,82 +482,66 @@ def examine(
     cell: Mapping[str, Any] | None = None,
     fields: Mapping[str, Any] | None = None,
 ) -> Examined:
-    """As :func:`_examined`; with ``kept``, what is worked out of meshes is kept in that folder, too."""
-    files = None if kept is None else KeptFiles(kept)
-    with use_cache(files):
-        return _examined(folder, problem, uploads, facets, reach, draw, targets, files, cell, fields or {})
-
-
-def _examined(
-    folder: Path,
-    problem: Path,
-    uploads: Mapping[str, Path],
-    facets: int,
-    reach: bool,
-    draw: bool,
-    targets: int | None,
-    kept: KeptFiles | None,
-    cell: Mapping[str, Any] | None,
-    fields: Mapping[str, Any],
-) -> Examined:
     """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
 
     ``folder`` is an empty one for this call alone. A mesh has at most ``facets``, three vertices for each.
     With ``reach`` the targets are made and reach is tested, at about so many ``targets`` where they are
-    given; those made are ``kept``. With ``draw`` there are ``shapes`` for the page, with
-    ``cell`` there is what :func:`planner.service.cell_view.view` draws for these arguments.
-    ``fields`` take the place of those that the problem has.
+    given. With ``kept``, those made and what is worked out of meshes are kept in that folder. With ``draw``
+    there are ``shapes`` for the page, with ``cell`` there is what :func:`planner.service.cell_view.view`
+    draws for these arguments. ``fields`` take the place of those that the problem has.
     """
+    known = None if kept is None else KeptFiles(kept)
     faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
     if faults:
         return Examined(tuple(faults))
-    uploaded = Uploaded(folder, uploads)
-    shutil.copyfile(problem, folder / PROBLEM)
-    try:
-        document = strict_yaml.read(folder / PROBLEM)
-        wrong = [*_replaced(document.data, fields)]
-        document, faults = uploaded.inside(document)
-        faults = [*wrong, *faults]
-        if faults:
-            return Examined(uploaded.in_user_names([*faults, *_other_faults(document)]))
-        read = problem_file.build(document, registry.readers())
-    except TandemError as error:
-        return Examined(uploaded.in_user_names(error.issues))
-    files = problem_file.bundle(read)
-    text = files.pop(PROBLEM).decode()
-    found = [*(read.part.notes if read.part is not None else ()), *read.notes]
-    looked_at: dict[str, Any] | None = None
-    if reach:
-        from planner import pipeline  # loads Drake
-
-        make = None if kept is None else kept_targets.maker(kept, read, alike=targets is not None)
-        looked = pipeline.looked_over(read, targets, make)
-        found += [issue for issue in looked.issues if issue not in found]
-        if looked.of:
-            looked_at = {name: getattr(looked, name) for name in ("targets", "of", "placed", "thinned")}
-    seen: dict[str, Any] | None = None
-    if cell is not None:
+    with use_cache(known):
+        uploaded = Uploaded(folder, uploads)
+        shutil.copyfile(problem, folder / PROBLEM)
         try:
-            seen, faults = _cell(read, folder, kept, cell)
-            found += faults
+            document = strict_yaml.read(folder / PROBLEM)
+            wrong = [*_replaced(document.data, fields or {})]
+            document, faults = uploaded.inside(document)
+            faults = [*wrong, *faults]
+            if faults:
+                return Examined(uploaded.in_user_names([*faults, *_other_faults(document)]))
+            read = problem_file.build(document, registry.readers())
         except TandemError as error:
-            found += error.issues
-    drawn: list[dict[str, Any]] = []
-    if draw:
-        drawn, faults = shapes(read)
-        found += [issue for issue in faults if issue not in found]
-    return Examined(
-        issues=uploaded.in_user_names(found),
-        name=read.name,
-        digest=read.digest,
-        processes=tuple(dict.fromkeys(operation.process for operation in read.operations)),
-        text=text,
-        files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
-        summary=_summary(read),
-        shapes=tuple(drawn),
-        looked_at=looked_at,
-        cell=seen,
-    )
+            return Examined(uploaded.in_user_names(error.issues))
+        files = problem_file.bundle(read)
+        text = files.pop(PROBLEM).decode()
+        found = [*(read.part.notes if read.part is not None else ()), *read.notes]
+        looked_at: dict[str, Any] | None = None
+        if reach:
+            from planner import pipeline  # loads Drake
+
+            make = None if known is None else kept_targets.maker(known, read, alike=targets is not None)
+            looked = pipeline.looked_over(read, targets, make)
+            found += [issue for issue in looked.issues if issue not in found]
+            if looked.of:
+                looked_at = {name: getattr(looked, name) for name in ("targets", "of", "placed", "thinned")}
+        seen: dict[str, Any] | None = None
+        if cell is not None:
+            try:
+                seen, faults = _cell(read, folder, known, cell)
+                found += faults
+            except TandemError as error:
+                found += error.issues
+        drawn: list[dict[str, Any]] = []
+        if draw:
+            drawn, faults = shapes(read)
+            found += [issue for issue in faults if issue not in found]
+        return Examined(
+            issues=uploaded.in_user_names(found),
+            name=read.name,
+            digest=read.digest,
+            processes=tuple(dict.fromkeys(operation.process for operation in read.operations)),
+            text=text,
+            files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+            summary=_summary(read),
+            shapes=tuple(drawn),
+            looked_at=looked_at,
+            cell=seen,
+        )
 
 
 def _cell(
