@@ -290,12 +290,8 @@ def plan_all(
         for name, (given, problem) in zip(names, problems.items(), strict=True)
     ]
     with claimed_folder(folder), Workers(workers) as planners:
-        rows = run(items, folder, planners, settings or Settings(), on_event or _silent)
+        rows = run(items, folder, planners, settings or Settings(), on_event or (lambda _: None))
     return {row.item.origin: row.done for row in rows}
-
-
-def _silent(event: Event) -> None:
-    del event
 
 
 @contextmanager
