@@ -21,28 +21,9 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaterni
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 from planner.languages.writing import handshake as handshake_drift
+from planner.languages.writing import layout
 from planner.languages.writing.handshake import handshake_refusals, meeting_rows, stretched
 from planner.languages.writing.language import writer_of
-from planner.languages.writing.layout import (
-    POSITION_DECIMALS,
-    QUATERNION_DECIMALS,
-    TIME_DECIMALS,
-    AxesLook,
-    Carry,
-    Do,
-    Job,
-    Joints,
-    Load,
-    Meet,
-    OperationProgram,
-    Outer,
-    Run,
-    Step,
-    SyncOff,
-    SyncOn,
-    TaskProgram,
-    Track,
-)
 from planner.languages.writing.outer_axes import at_station, legs_between, outer_values, table_of
 from planner.plans import OperationPlan, Plan
 from planner.problem import OUTER_DECIMALS, Arm, Cell, Problem, Settings, Setup
@@ -60,26 +41,26 @@ def require_mass(tool: Tool, needs: str = "a load needs {} kg at least") -> None
         raise TandemError(Issue("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more"))
 
 
-def carries(plan: Plan, problem: Problem) -> dict[int, dict[str, Carry]]:
+def carries(plan: Plan, problem: Problem) -> dict[int, dict[str, layout.Carry]]:
     """{index of an operation: {arm: what it carries from there on}}, where that changes.
 
     Raises :class:`TandemError` (``post.load``) where a block is held and no claim says how heavy it is.
     """
-    out: dict[int, dict[str, Carry]] = {}
+    out: dict[int, dict[str, layout.Carry]] = {}
     before: str | None = None
     for setup in problem.setups:
         if setup.operations[0] >= len(plan.operations):
             break
         holder = setup.stock.held_by
-        change = {before: Carry(None)} if before is not None and before != holder else {}
+        change = {before: layout.Carry(None)} if before is not None and before != holder else {}
         if holder is not None:
-            change[holder] = Carry(_load(plan, setup, holder))
+            change[holder] = layout.Carry(_load(plan, setup, holder))
         out[setup.operations[0]] = change
         before = holder
     return out
 
 
-def _load(plan: Plan, setup: Setup, holder: str) -> Load:
+def _load(plan: Plan, setup: Setup, holder: str) -> layout.Load:
     """The block of a setup in the holder's TCP frame, a solid box of one density."""
     claims = [
         claim
@@ -97,7 +78,7 @@ def _load(plan: Plan, setup: Setup, holder: str) -> Load:
         raise TandemError(Issue("post.load", message, arm=holder, hint=f"{hint}, and plan again"))
     claim, size = claims[0], setup.stock.upper - setup.stock.lower
     inertia = claim.mass / 12.0 * (np.sum(size**2) - size**2)
-    return Load(setup.number, claim.mass, claim.cog, claim.grip[:3, :3], inertia)
+    return layout.Load(setup.number, claim.mass, claim.cog, claim.grip[:3, :3], inertia)
 
 
 MAX_TASKS = 2
@@ -106,7 +87,7 @@ SAME_JOINTS = 1e-6
 """Joints [rad] that differ by less are one place, some 0.00005 deg apart."""
 
 
-def build(plan: Plan, problem: Problem) -> Job:
+def build(plan: Plan, problem: Problem) -> layout.Job:
     """The steps of every task; raises :class:`TandemError` (``post.*``) for a plan that no program can do."""
     used = {arm for operation in plan.operations for arm in operation.targets.arms}
     arms = [arm for arm in problem.cell.arms if arm.name in used]
@@ -147,7 +128,7 @@ def build(plan: Plan, problem: Problem) -> Job:
     ]
     place = {arm.name: i for i, arm in enumerate(problem.cell.arms)}
     tasks = tuple(
-        TaskProgram(
+        layout.TaskProgram(
             number=n + 1,
             task=controller.tasks[place[arm.name]],
             unit=controller.units[place[arm.name]],
@@ -164,7 +145,7 @@ def build(plan: Plan, problem: Problem) -> Job:
     signals = dict.fromkeys(action.signal for action in actions if action.kind in ("on", "off"))
     coupled = any(operation.targets.coupled for operation in plan.operations)
     drifts = () if handshake is None else handshake_drift.drifts(plan, setups, parts)
-    return Job(tasks, builder.meets, builder.blocks, coupled, tuple(signals), handshake, drifts)
+    return layout.Job(tasks, builder.meets, builder.blocks, coupled, tuple(signals), handshake, drifts)
 
 
 class _Builder:
@@ -175,14 +156,14 @@ class _Builder:
         arms: Sequence[str],
         handshake: Handshake | None,
         settings: Settings,
-        stands: Mapping[str, Outer | None],
+        stands: Mapping[str, layout.Outer | None],
     ) -> None:
         self.arms = arms
         self.handshake = handshake
         self.settings = settings
         self.meets = 0 if handshake is None else 1  # the first meeting stands before all operations
         self.blocks = 0
-        self.steps: dict[str, list[Step]] = {}
+        self.steps: dict[str, list[layout.Step]] = {}
         self.stands = dict(stands)
 
     def operation(
@@ -191,10 +172,10 @@ class _Builder:
         plan: OperationPlan,
         setup: Setup,
         place: FloatArray,
-        loads: Mapping[str, Carry],
+        loads: Mapping[str, layout.Carry],
         travels: Sequence[Mapping[str, Travel]],
         closing: Setup | None = None,
-    ) -> dict[str, OperationProgram]:
+    ) -> dict[str, layout.OperationProgram]:
         """The operation's program for each task; ``loads``: what arms carry from its beginning on;
         ``travels`` of external axes before it and behind it, by their names, if there are any; ``closing``:
         how the cell stands behind it, where external axes go home."""
@@ -234,8 +215,8 @@ class _Builder:
         opened = number == setup.operations[0] and bool(setup.steps)
         for arm in self.arms:
             if number == 0 and (opened or arm not in targets.arms):
-                home = Joints(homes[arm], "entry", station=before[arm])
-                look = () if home.station is None else (AxesLook(home.station),)
+                home = layout.Joints(homes[arm], "entry", station=before[arm])
+                look = () if home.station is None else (layout.AxesLook(home.station),)
                 self._alone(arm, [*look, home], f"{arm} stands at home")
         if opened:
             self._setup(setup)
@@ -245,13 +226,13 @@ class _Builder:
         from_home = number > 0 or opened
         if "entry" in plan.together:
             for arm in () if from_home else plan.order:
-                self._alone(arm, [Joints(homes[arm], "entry")], f"{arm} stands at home")
+                self._alone(arm, [layout.Joints(homes[arm], "entry")], f"{arm} stands at home")
             ways = {arm: (homes[arm], *plan.entry[arm], plan.q[arm][0]) for arm in plan.order}
             self._at_once(ways, "entry", "start")
         else:
             for arm in plan.order:
                 steps = _joints((homes[arm], *plan.entry[arm], plan.q[arm][0]), "entry")
-                steps[-1] = Joints(plan.q[arm][0], "start")
+                steps[-1] = layout.Joints(plan.q[arm][0], "start")
                 self._alone(arm, steps[1:] if from_home else steps, f"{arm} stands at its first target")
         self._actions(targets, -1, keep)
         self._blocks(number, targets, keep, segments, meets, duration)
@@ -272,7 +253,7 @@ class _Builder:
             self._stations(ends, arms, closing.cell, travels[1])
         ids = np.arange(1, len(keep) + 1)
         return {
-            arm: OperationProgram(
+            arm: layout.OperationProgram(
                 plan.name,
                 setup.number,
                 arms[arm],
@@ -290,7 +271,7 @@ class _Builder:
 
     def _stations(
         self,
-        stands: Mapping[str, Outer | None],
+        stands: Mapping[str, layout.Outer | None],
         arms: Mapping[str, Arm],
         cell: Cell,
         travels: Mapping[str, Travel],
@@ -301,7 +282,7 @@ class _Builder:
             station, before, table = stands[arm], self.stands[arm], table_of(arms[arm], cell)
             if station is not None and before is not None and station != before:
                 legs = legs_between(before, station, arms[arm], table)
-                steps = [Joints(arms[arm].home, "station", station=leg) for leg in legs]
+                steps = [layout.Joints(arms[arm].home, "station", station=leg) for leg in legs]
                 what = arm if table is None else "the block"
                 names = arms[arm].rails if table is None else table.axes
                 seconds = sum(travels[name].seconds for name in names if name in travels)
@@ -314,7 +295,7 @@ class _Builder:
         asked = Action(0, "confirm", text=setup.confirmation)
         self._alone(
             self.arms[0],
-            [Do(action) for action in (*told, asked)],
+            [layout.Do(action) for action in (*told, asked)],
             reached or f"setup {setup.number} is done",
         )
 
@@ -323,13 +304,13 @@ class _Builder:
         if len(self.arms) > 1:
             self.meets += 1
             for arm in self.arms:
-                self.steps[arm].append(Meet(self.meets, reached, 0.0 if arm == by else seconds))
+                self.steps[arm].append(layout.Meet(self.meets, reached, 0.0 if arm == by else seconds))
 
-    def _alone(self, arm: str, steps: Sequence[Step], reached: str, seconds: float = 0.0) -> None:
+    def _alone(self, arm: str, steps: Sequence[layout.Step], reached: str, seconds: float = 0.0) -> None:
         """What one arm does while the others wait: ``seconds``, and those that its actions state."""
         if steps:
             self.steps[arm] += steps
-            seconds += sum(step.action.seconds for step in steps if isinstance(step, Do))
+            seconds += sum(step.action.seconds for step in steps if isinstance(step, layout.Do))
             self._meet(reached, seconds, arm)
 
     def _at_once(self, ways: Mapping[str, Sequence[FloatArray]], place: str, last: str | None = None) -> None:
@@ -346,9 +327,10 @@ class _Builder:
         for k, arm in enumerate(ways):
             names = [place] * (len(rows) - 1) + [last or place]
             steps = [
-                Joints(row[k], name, i) for i, (row, name) in enumerate(zip(rows, names, strict=True), 1)
+                layout.Joints(row[k], name, i)
+                for i, (row, name) in enumerate(zip(rows, names, strict=True), 1)
             ]
-            self.steps[arm] += [SyncOn(self.blocks), *steps, SyncOff(self.blocks)]
+            self.steps[arm] += [layout.SyncOn(self.blocks), *steps, layout.SyncOff(self.blocks)]
 
     def _actions(self, targets: Targets, row: int, keep: IntArray) -> None:
         """Actions from the target of this row to before that of the next one; row -1 is the first target."""
@@ -357,7 +339,7 @@ class _Builder:
         due = [action for action in targets.actions if low <= action.at < high]
         due.sort(key=lambda action: action.at)
         lead = next(arm for arm in self.arms if arm in targets.arms)
-        self._alone(lead, [Do(action) for action in due], "what this stop asks for is done")
+        self._alone(lead, [layout.Do(action) for action in due], "what this stop asks for is done")
 
     def _blocks(
         self,
@@ -377,7 +359,9 @@ class _Builder:
                 self.blocks += 1
             runs = _runs(number, segments, first, last, together)
             for arm in targets.arms:
-                self.steps[arm] += [SyncOn(self.blocks), *runs, SyncOff(self.blocks)] if together else runs
+                self.steps[arm] += (
+                    [layout.SyncOn(self.blocks), *runs, layout.SyncOff(self.blocks)] if together else runs
+                )
             marked = np.flatnonzero(meets[first:last]) + first
             meets[marked] = self.meets + 1 + np.arange(len(marked))
             self.meets += len(marked)
@@ -387,19 +371,21 @@ class _Builder:
             self._actions(targets, last - 1, keep)
 
 
-def _runs(number: int, segments: Sequence[Segment], first: int, last: int, together: bool) -> list[Run]:
+def _runs(
+    number: int, segments: Sequence[Segment], first: int, last: int, together: bool
+) -> list[layout.Run]:
     edges = [first, *(i for i in range(first + 1, last) if segments[i] != segments[i - 1]), last]
-    return [Run(number, segments[a], a, b, together) for a, b in itertools.pairwise(edges)]
+    return [layout.Run(number, segments[a], a, b, together) for a, b in itertools.pairwise(edges)]
 
 
-def _joints(stations: Sequence[FloatArray], place: str) -> list[Step]:
+def _joints(stations: Sequence[FloatArray], place: str) -> list[layout.Step]:
     """Steps to the stations in order; of two that are one place the later one counts."""
-    steps: list[Step] = []
+    steps: list[layout.Step] = []
     last: FloatArray | None = None
     for q in stations:
         if last is not None and np.abs(q - last).max() < SAME_JOINTS:
             steps.pop()
-        steps.append(Joints(np.asarray(q, dtype=np.float64), place))
+        steps.append(layout.Joints(np.asarray(q, dtype=np.float64), place))
         last = q
     return steps
 
@@ -465,8 +451,8 @@ def _written(
         sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
         # + 0.0 turns -0.0 into 0.0
         out[arm] = (
-            np.round(pose[:, :3, 3] * 1e3, POSITION_DECIMALS) + 0.0,
-            np.round(quaternion * sign[:, None], QUATERNION_DECIMALS) + 0.0,
+            np.round(pose[:, :3, 3] * 1e3, layout.POSITION_DECIMALS) + 0.0,
+            np.round(quaternion * sign[:, None], layout.QUATERNION_DECIMALS) + 0.0,
         )
     return out
 
@@ -514,8 +500,8 @@ def _turns(written: Sequence[FloatArray], targets: Targets, keep: IntArray) -> B
 
 def _durations(plan: OperationPlan, keep: IntArray) -> FloatArray:
     """Times (M,) [s] of the kept moves, rounded as written."""
-    clock = np.round(plan.time, TIME_DECIMALS)
-    duration = np.round(clock[keep] - clock[keep - 1], TIME_DECIMALS)
+    clock = np.round(plan.time, layout.TIME_DECIMALS)
+    duration = np.round(clock[keep] - clock[keep - 1], layout.TIME_DECIMALS)
     late = np.flatnonzero(duration <= 0.0)
     if len(late):
         i = int(keep[late[0]])
@@ -560,7 +546,7 @@ def _track(
     duration: FloatArray,
     position: FloatArray,
     quaternion: FloatArray,
-) -> Track:
+) -> layout.Track:
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
     stations = np.concatenate([[0], keep])
     segments = [plan.targets.segment[i] for i in keep]
@@ -574,4 +560,4 @@ def _track(
     ride = plan.targets.ride.get(arm.name)
     outer = None if ride is None else np.round(ride[keep] / MM, OUTER_DECIMALS) + 0.0
     q = plan.q[arm.name][keep]
-    return Track(position[keep], quaternion[keep], q, duration, distance, *room, frame, outer)
+    return layout.Track(position[keep], quaternion[keep], q, duration, distance, *room, frame, outer)

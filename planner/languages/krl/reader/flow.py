@@ -15,58 +15,11 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.languages.krl import sentences as krl_sentences
+from planner.languages.krl.reader import syntax_tree
 from planner.languages.krl.reader.panel import Panel, PanelError
-from planner.languages.krl.reader.syntax_tree import (
-    AXIS_SPEEDS,
-    CHOICE_SETTINGS,
-    FRAME_SETTINGS,
-    MOTION_SETTINGS,
-    OUTER_SPEEDS,
-    SPLINE_MOVE,
-    Await,
-    AxisLook,
-    Call,
-    DataList,
-    Foot,
-    Halt,
-    Joint,
-    Listen,
-    Outer,
-    Output,
-    Pause,
-    Point,
-    Program,
-    Said,
-    Set,
-    Spline,
-    Start,
-    Statement,
-    StopInterrupt,
-    Straight,
-)
 from planner.languages.krl.reader.values import NO_LOAD, held_load, quaternion
+from planner.programs import steps
 from planner.programs.signals import Signals
-from planner.programs.steps import (
-    UNUSED_AXIS,
-    CarryStep,
-    Fault,
-    FlowError,
-    JointTarget,
-    Load,
-    MessageStep,
-    MoveStep,
-    RobTarget,
-    SettingStep,
-    SignalStep,
-    Speed,
-    StatusTarget,
-    Step,
-    Tool,
-    WaitStep,
-    WorkObject,
-    Zone,
-    letters,
-)
 
 MAX_CALLS = 10
 """Programs that call each other may be so deep."""
@@ -76,9 +29,9 @@ MAIN_PROCEDURE = "main"
 """What the procedure of the main program is called in steps: its own name is the problem's."""
 _BLOCK_LOAD = "l_block_"
 """How the loads of a tool together with a block are called."""
-_EXACT_STOP = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_EXACT_STOP = steps.Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point without an approximation: the arm stops there."""
-_FLY_BY = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_FLY_BY = steps.Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """At a point of a spline block: the arm goes through it without a stop."""
 AXIS_LOOK = "$AXIS_ACT"
 """Kind of the step that looks at an external axis: its values are column [from 0], home and most off it
@@ -86,7 +39,7 @@ AXIS_LOOK = "$AXIS_ACT"
 _PRELUDE = (
     (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
     (True, "INTERRUPT ON 3 behind it"),
-    (Start, "BAS(#INITMOV,0) behind it"),
+    (syntax_tree.Start, "BAS(#INITMOV,0) behind it"),
 )
 """What the main program begins with, and how faults name it."""
 _PRELUDE_REASON = "stop reactions and settings need"
@@ -107,41 +60,41 @@ class Runner:
 
     def __init__(
         self,
-        programs: Mapping[str, Program],
-        data: DataList,
+        programs: Mapping[str, syntax_tree.Program],
+        data: syntax_tree.DataList,
         base: FloatArray,
         signals: Signals,
         panel: Panel,
     ) -> None:
         self.programs, self.data, self.base, self.signals = programs, data, base, signals
         self.panel = panel
-        self.steps: list[Step] = []
+        self.steps: list[steps.Step] = []
         self.entered: set[str] = set()
         self.settings: dict[str, float | str] = {}
-        self.tools: dict[str, Tool] = {}
-        self.works: dict[str, WorkObject] = {}
+        self.tools: dict[str, steps.Tool] = {}
+        self.works: dict[str, steps.WorkObject] = {}
         self.here: _Pose | None = None
-        self.outer: Outer = ()
+        self.outer: syntax_tree.Outer = ()
         self.stood: tuple[float, ...] | None = None
         self.rode: tuple[float, ...] | None = None
         self.on: set[int] = set()
         self.carried = ""
         self.load_line = 0
-        self.program: Program
+        self.program: syntax_tree.Program
         self.procedure = MAIN_PROCEDURE
         self.depth = 0
         self.started = False
         self.work = MOST_STATEMENTS + sum(len(program.body) for program in programs.values())
         self._open: list[str] = []
 
-    def run(self, main: Program) -> tuple[Step, ...]:
+    def run(self, main: syntax_tree.Program) -> tuple[steps.Step, ...]:
         """Steps of the main program. Raises `FlowError`."""
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
-        head = [s for s in main.body if not isinstance(s, Said)][:3]
+        head = [s for s in main.body if not isinstance(s, syntax_tree.Said)][:3]
         for wanted, s in itertools.zip_longest(_PRELUDE, head):
-            part = s.on if isinstance(s, StopInterrupt) else type(s)
+            part = s.on if isinstance(s, syntax_tree.StopInterrupt) else type(s)
             if part != wanted[0]:
                 what = f"the main program does not begin with {wanted[1]}, as {_PRELUDE_REASON}"
                 self._fail(s.line if s else 1, what)
@@ -149,32 +102,32 @@ class Runner:
         return tuple(self.steps)
 
     def _fail(self, line: int, message: str) -> NoReturn:
-        raise FlowError([Fault(line, 1, "krl.flow", message, self.program.file)])
+        raise steps.FlowError([steps.Fault(line, 1, "krl.flow", message, self.program.file)])
 
     def _misplaced(self, line: int, wrong: bool, message: str) -> None:
         """Refuse what stands where the programs do not have it."""
         if wrong:
             self._fail(line, message)
 
-    def _block(self, body: Sequence[Statement]) -> None:
+    def _block(self, body: Sequence[syntax_tree.Statement]) -> None:
         for statement in body:
             self.work -= 1
             if self.work < 0:
                 self._fail(statement.line, "the programs call each other too often to be read")
-            if isinstance(statement, Straight):
+            if isinstance(statement, syntax_tree.Straight):
                 self._straight(statement)
                 continue
-            if isinstance(statement, Spline):
+            if isinstance(statement, syntax_tree.Spline):
                 self._spline(statement)
                 continue
-            if not isinstance(statement, Set | Said):
+            if not isinstance(statement, syntax_tree.Set | syntax_tree.Said):
                 self._carry(statement.line)
             self._hear(statement)
             self._statement(statement)
         if not self.depth:
             self._close(body[-1].line if body else 1)
 
-    def _hear(self, statement: Statement) -> None:
+    def _hear(self, statement: syntax_tree.Statement) -> None:
         """What the panel shows and asks by a statement."""
         try:
             self.panel.check(statement, self.depth)
@@ -189,7 +142,7 @@ class Runner:
         except PanelError as wrong:
             self._fail(line, str(wrong))
 
-    def _say(self, statement: Statement) -> None:
+    def _say(self, statement: syntax_tree.Statement) -> None:
         """A step for what a statement shows."""
         said = self.panel.take(statement, self.depth)
         if self.on and self.panel.halts(statement):
@@ -198,50 +151,52 @@ class Runner:
             where = (self.program.file.rpartition("/")[2], self.procedure, statement.line, "")
             lines = (said.text,)
             self.steps.append(
-                MessageStep(*where, said.kind, lines, said.confirm, said.text, said.confirm, said.panel)
+                steps.MessageStep(*where, said.kind, lines, said.confirm, said.text, said.confirm, said.panel)
             )
 
-    def _statement(self, statement: Statement) -> None:
+    def _statement(self, statement: syntax_tree.Statement) -> None:
         line = statement.line
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
         match statement:
-            case Start():
+            case syntax_tree.Start():
                 if self.started or self.depth:
                     self._fail(line, "BAS(#INITMOV,0) stands elsewhere than at the start of the main program")
                 self.started = True
-                self.steps.append(SettingStep(*where, "BAS(#INITMOV,0)", (), ()))
-            case Set(name=name, value=value):
+                self.steps.append(steps.SettingStep(*where, "BAS(#INITMOV,0)", (), ()))
+            case syntax_tree.Set(name=name, value=value):
                 self._set(line, name, value)
-            case Said(kind="segment", text=text):
+            case syntax_tree.Said(kind="segment", text=text):
                 self.procedure = text
-            case StopInterrupt():
+            case syntax_tree.StopInterrupt():
                 what = "the interrupt of stop messages stands elsewhere than at the start"
                 self._misplaced(line, bool(self.steps) or self.depth > 0, what)
-            case Halt() if self.panel.dialect == "krc4":
-                self.steps.append(SettingStep(*where, "HALT", (), (), stops=True))
-            case Foot():
-                self.steps.append(SettingStep(*where, "$ROBROOT", (), ()))
-            case AxisLook(column=column, home=home, most=most, text=text):
-                self.steps.append(SettingStep(*where, AXIS_LOOK, (text,), (column, home, most)))
-            case Output(number=number, value=on):
+            case syntax_tree.Halt() if self.panel.dialect == "krc4":
+                self.steps.append(steps.SettingStep(*where, "HALT", (), (), stops=True))
+            case syntax_tree.Foot():
+                self.steps.append(steps.SettingStep(*where, "$ROBROOT", (), ()))
+            case syntax_tree.AxisLook(column=column, home=home, most=most, text=text):
+                self.steps.append(steps.SettingStep(*where, AXIS_LOOK, (text,), (column, home, most)))
+            case syntax_tree.Output(number=number, value=on):
                 self.on = self.on | {number} if on else self.on - {number}
                 name = self.signals.outputs.get(number, f"$OUT[{number}]")
-                self.steps.append(SignalStep(*where, "$OUT", name, float(on), 0.0, True))
-            case Listen(number=number, value=on, seconds=seconds):
+                self.steps.append(steps.SignalStep(*where, "$OUT", name, float(on), 0.0, True))
+            case syntax_tree.Listen(number=number, value=on, seconds=seconds):
                 name = self.signals.inputs.get(number, f"$IN[{number}]")
-                self.steps.append(WaitStep(*where, "WHILE", seconds, name, float(on), False, again=True))
-            case Await():
+                self.steps.append(
+                    steps.WaitStep(*where, "WHILE", seconds, name, float(on), False, again=True)
+                )
+            case syntax_tree.Await():
                 self._await(statement, where)
-            case Pause(seconds=seconds) if self._moving:
+            case syntax_tree.Pause(seconds=seconds) if self._moving:
                 self._stand(line, seconds)
-            case Pause(seconds=seconds):
-                self.steps.append(WaitStep(*where, "WAIT SEC", seconds, "", None, True))
-            case Joint(name=name):
+            case syntax_tree.Pause(seconds=seconds):
+                self.steps.append(steps.WaitStep(*where, "WAIT SEC", seconds, "", None, True))
+            case syntax_tree.Joint(name=name):
                 self._joint(line, name)
-            case Call(name=name):
+            case syntax_tree.Call(name=name):
                 self._call(line, name)
 
-    def _await(self, wait: Await, where: tuple[str, str, int, str]) -> None:
+    def _await(self, wait: syntax_tree.Await, where: tuple[str, str, int, str]) -> None:
         """A wait for an input, behind which everything is off where it was in vain."""
         line = wait.line
         self._misplaced(
@@ -252,11 +207,11 @@ class Runner:
         name = self.signals.inputs.get(wait.number, f"$IN[{wait.number}]")
         wanted = krl_sentences.NO_INPUT.filled(signal=name, seconds=wait.seconds)
         wanted = wanted if self.panel.dialect == "krc4" else ""
-        if letters(wait.text) != letters(wanted):
+        if steps.letters(wait.text) != steps.letters(wanted):
             self._fail(line, f"a wait that was in vain shows {wait.text!r}; wanted: {wanted!r}")
         if wanted and not self.panel.prepared:
             self._fail(line, "a message, and tm_opt is not set before")
-        self.steps.append(WaitStep(*where, "WHILE", wait.seconds, name, float(wait.value), False))
+        self.steps.append(steps.WaitStep(*where, "WHILE", wait.seconds, name, float(wait.value), False))
 
     @property
     def _moving(self) -> bool:
@@ -273,7 +228,7 @@ class Runner:
         self._open.append(name)
         self.program, self.depth = program, self.depth + 1
         if program.moves:
-            for setting in MOTION_SETTINGS:  # each file with moves states its own
+            for setting in syntax_tree.MOTION_SETTINGS:  # each file with moves states its own
                 self.settings.pop(setting, None)
         self._block(program.body)
         self._open.pop()
@@ -282,14 +237,14 @@ class Runner:
     # ---- settings ----
 
     def _set(self, line: int, name: str, value: float | str) -> None:
-        where = "a file with moves" if name in MOTION_SETTINGS else "the main program"
-        wrong = (name in MOTION_SETTINGS) != (self.depth > 0)
+        where = "a file with moves" if name in syntax_tree.MOTION_SETTINGS else "the main program"
+        wrong = (name in syntax_tree.MOTION_SETTINGS) != (self.depth > 0)
         self._misplaced(line, wrong, f"{name.upper()} is set elsewhere than in {where}")
-        if name in CHOICE_SETTINGS:
+        if name in syntax_tree.CHOICE_SETTINGS:
             where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
-            self.steps.append(SettingStep(*where_, name.upper(), (), ()))
-        if name in FRAME_SETTINGS:
-            kind = FRAME_SETTINGS[name]
+            self.steps.append(steps.SettingStep(*where_, name.upper(), (), ()))
+        if name in syntax_tree.FRAME_SETTINGS:
+            kind = syntax_tree.FRAME_SETTINGS[name]
             item = self.data.items.get(str(value))
             if item is None or item.kind != kind:
                 self._fail(line, f"{value} is no {kind.upper()} of the data list")
@@ -304,21 +259,21 @@ class Runner:
         if missing:
             self._fail(line, f"{missing[0].upper()} is not set before this move; set it")
 
-    def _tool(self, line: int) -> tuple[Tool, str]:
-        self._needed(line, ("$tool", "$load", *CHOICE_SETTINGS))
+    def _tool(self, line: int) -> tuple[steps.Tool, str]:
+        self._needed(line, ("$tool", "$load", *syntax_tree.CHOICE_SETTINGS))
         name = str(self.settings["$tool"])
         if name not in self.tools:
             own = self.data.items.get(_own_load(name))
             if own is None or own.kind != "load":
                 self._fail(line, f"the data list has no LOAD {_own_load(name)} for {name}")
-            self.tools[name] = Tool(True, self.data.items[name].value, own.value)
+            self.tools[name] = steps.Tool(True, self.data.items[name].value, own.value)
         return self.tools[name], self.data.items[name].name
 
-    def _work(self, line: int) -> tuple[WorkObject, str]:
+    def _work(self, line: int) -> tuple[steps.WorkObject, str]:
         self._needed(line, ("$base",))
         name = str(self.settings["$base"])
         if name not in self.works:
-            self.works[name] = WorkObject(False, True, "", self.base, self.data.items[name].value)
+            self.works[name] = steps.WorkObject(False, True, "", self.base, self.data.items[name].value)
         return self.works[name], self.data.items[name].name
 
     def _carry(self, line: int) -> None:
@@ -333,10 +288,10 @@ class Runner:
         if carried and not carried.startswith(_BLOCK_LOAD):
             self._fail(self.load_line, f"{load} is neither the load of {tool} nor one of it with a block")
         mine, _ = self._tool(line)
-        whole: Load = self.data.items[load].value
+        whole: steps.Load = self.data.items[load].value
         found = held_load(whole, mine.load, mine.pose) if carried else NO_LOAD
         where = (self.program.file.rpartition("/")[2], self.procedure, self.load_line, "")
-        self.steps.append(CarryStep(*where, found, load))
+        self.steps.append(steps.CarryStep(*where, found, load))
         self.carried = carried
 
     # ---- moves ----
@@ -348,29 +303,29 @@ class Runner:
         item = self.data.items.get(name)
         if item is None or item.kind not in ("e6axis", "e6pos"):
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
-        self._needed(line, AXIS_SPEEDS)
-        share = tuple(float(self.settings[axis]) / 100.0 for axis in AXIS_SPEEDS)
-        speed = Speed(math.inf, math.inf, 0.0, 0.0, share, self._outer_shares())
-        target: JointTarget | StatusTarget = item.value
+        self._needed(line, syntax_tree.AXIS_SPEEDS)
+        share = tuple(float(self.settings[axis]) / 100.0 for axis in syntax_tree.AXIS_SPEEDS)
+        speed = steps.Speed(math.inf, math.inf, 0.0, 0.0, share, self._outer_shares())
+        target: steps.JointTarget | steps.StatusTarget = item.value
         self._move(line, "PTP", target, item.name, None, speed, _EXACT_STOP, "")
         if self.panel.along and self._under(target) not in (self.stood, self.rode):
             self.panel.looked = False  # where the axes stand now is not known before the next look
         self.stood, self.rode = self._under(target), None
         self.here, self.outer = None, ()
-        if isinstance(target, StatusTarget):
+        if isinstance(target, steps.StatusTarget):
             x, y, z = (1e3 * target.position).tolist()
             w, i, j, k = target.quaternion.tolist()
             self.here = _Pose((x, y, z), (w, i, j, k))
             self.outer = tuple(enumerate(target.external.tolist()))
 
-    def _under(self, target: RobTarget | JointTarget | StatusTarget) -> tuple[float, ...]:
+    def _under(self, target: steps.RobTarget | steps.JointTarget | steps.StatusTarget) -> tuple[float, ...]:
         """Values of the external axes that take the arm, as a target has them."""
         return tuple(float(target.external[column]) for column in self.panel.along)
 
-    def _straight(self, move: Straight) -> None:
+    def _straight(self, move: syntax_tree.Straight) -> None:
         line = move.line
         here = self._begins(line, move.word)
-        self._needed(line, tuple(MOTION_SETTINGS))
+        self._needed(line, tuple(syntax_tree.MOTION_SETTINGS))
         speed, way, turn, there = self._paced(line, here, move.place)
         target = _target(there, move.outer)
         zone, name = self._zone(move.corner)
@@ -378,25 +333,25 @@ class Runner:
         self._move(line, move.word, target, "", time, speed, zone, name)
         self.here, self.outer, self.rode = there, move.outer, self._under(target)
 
-    def _spline(self, block: Spline) -> None:
+    def _spline(self, block: syntax_tree.Spline) -> None:
         """The points of a spline block as moves: each takes its share of the block's time, and only the last
         one ends in a stop."""
         self._begins(block.line, "SPLINE")
-        self._needed(block.line, tuple(MOTION_SETTINGS))
-        last = next((step for step in reversed(self.steps) if isinstance(step, MoveStep)), None)
+        self._needed(block.line, tuple(syntax_tree.MOTION_SETTINGS))
+        last = next((step for step in reversed(self.steps) if isinstance(step, steps.MoveStep)), None)
         if last is None or not last.zone.fine:
             self._fail(block.line, "SPLINE does not begin at an exact stop; the move before it must be one")
         left = block.moves
         for item in block.points:
-            if isinstance(item, Said):
+            if isinstance(item, syntax_tree.Said):
                 self._statement(item)
-            elif isinstance(item, Point) and self.here is not None:
+            elif isinstance(item, syntax_tree.Point) and self.here is not None:
                 left -= 1
                 speed, _, _, there = self._paced(item.line, self.here, item.place)
                 target = _target(there, item.outer)
-                zone, name = (_FLY_BY, SPLINE_MOVE) if left else (_EXACT_STOP, "")
+                zone, name = (_FLY_BY, syntax_tree.SPLINE_MOVE) if left else (_EXACT_STOP, "")
                 seconds = item.part * block.seconds
-                self._move(item.line, SPLINE_MOVE, target, "", seconds, speed, zone, name)
+                self._move(item.line, syntax_tree.SPLINE_MOVE, target, "", seconds, speed, zone, name)
                 self.here, self.outer = there, item.outer
 
     def _begins(self, line: int, word: str) -> _Pose:
@@ -410,7 +365,7 @@ class Runner:
 
     def _paced(
         self, line: int, here: _Pose, place: tuple[float, float, float, float, float, float]
-    ) -> tuple[Speed, float, float, _Pose]:
+    ) -> tuple[steps.Speed, float, float, _Pose]:
         """The speeds in force, way [m] and turn [rad] to a place, and that."""
         velocity, turning = float(self.settings["$vel.cp"]), float(self.settings["$vel.ori1"])
         if self.settings["$vel.ori2"] != turning:
@@ -419,29 +374,29 @@ class Runner:
         there = _Pose((x, y, z), quaternion(a, b, c))
         way, turn = _apart(here, there)
         rate = math.sqrt(2.0) * math.radians(turning)
-        return Speed(velocity, rate, 0.0, 0.0, outer=self._outer_shares()), way, turn, there
+        return steps.Speed(velocity, rate, 0.0, 0.0, outer=self._outer_shares()), way, turn, there
 
     def _outer_shares(self) -> tuple[float, ...]:
         """The shares (6,) of their own speeds that external axes may take."""
-        return tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in OUTER_SPEEDS)
+        return tuple(float(self.settings.get(axis, 0.0)) / 100.0 for axis in syntax_tree.OUTER_SPEEDS)
 
     def _stand(self, line: int, seconds: float) -> None:
         """A wait in a file with moves: the arm's part of a move in which it stands still."""
         if self.here is None:
             self._fail(line, "WAIT SEC stands for a move, but the arm is at no pose of this $BASE and $TOOL")
         target = _target(self.here, self.outer)
-        speed = Speed(1.0, 1.0, 0.0, 0.0)
+        speed = steps.Speed(1.0, 1.0, 0.0, 0.0)
         self._move(line, "WAIT SEC", target, "", seconds, speed, _EXACT_STOP, "")
 
     def _move(
         self,
         line: int,
         word: str,
-        target: JointTarget | StatusTarget | RobTarget,
+        target: steps.JointTarget | steps.StatusTarget | steps.RobTarget,
         name: str,
         time: float | None,
-        speed: Speed,
-        zone: Zone,
+        speed: steps.Speed,
+        zone: steps.Zone,
         corner: str,
     ) -> None:
         tool, tool_name = self._tool(line)
@@ -449,13 +404,13 @@ class Runner:
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
         stop = corner or "an exact stop"
         self.steps.append(
-            MoveStep(
+            steps.MoveStep(
                 *(*where, word, target, name, None, time, None, speed, zone, stop),
                 *(tool, tool_name, work, work_name, ()),
             )
         )
 
-    def _zone(self, corner: str) -> tuple[Zone, str]:
+    def _zone(self, corner: str) -> tuple[steps.Zone, str]:
         if not corner:
             return _EXACT_STOP, ""
         way, angle = 1e-3 * float(self.settings["$apo.cdis"]), math.radians(float(self.settings["$apo.cori"]))
@@ -464,15 +419,15 @@ class Runner:
         if corner == "C_ORI":
             way = _UNBOUNDED
         # external axes leave their ways with the tool, where that does
-        return Zone(False, way, 0.0, 0.0, angle, way, 0.0), corner
+        return steps.Zone(False, way, 0.0, 0.0, angle, way, 0.0), corner
 
 
-def _target(place: _Pose, outer: Outer) -> RobTarget:
+def _target(place: _Pose, outer: syntax_tree.Outer) -> steps.RobTarget:
     """A pose that the arm goes straight to, with the external axes that the text states there."""
-    axes = np.full(6, UNUSED_AXIS)
+    axes = np.full(6, steps.UNUSED_AXIS)
     for column, value in outer:
         axes[column] = value
-    return RobTarget(1e-3 * np.array(place.position), np.array(place.quaternion), None, axes)
+    return steps.RobTarget(1e-3 * np.array(place.position), np.array(place.quaternion), None, axes)
 
 
 def _own_load(tool: str) -> str:

@@ -8,32 +8,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 
-from planner.languages.krl.reader import values
+from planner.languages.krl.reader import syntax_tree, values
 from planner.languages.krl.reader.panel import PANEL_FORMS, Form, variables
-from planner.languages.krl.reader.syntax_tree import (
-    CHOICE_SETTINGS,
-    FRAME_SETTINGS,
-    LINE_LENGTH,
-    NAME_LENGTH,
-    NUMBER_SETTINGS,
-    RESERVED,
-    Await,
-    Call,
-    Data,
-    DataList,
-    Halt,
-    Joint,
-    Listen,
-    Notice,
-    Output,
-    Pause,
-    Program,
-    Said,
-    Set,
-    Start,
-    Statement,
-    Straight,
-)
 from planner.languages.krl.reader.values import UNSIGNED, KrlValueError
 from planner.programs.steps import Fault, singles
 
@@ -72,7 +48,7 @@ _FILE_HEAD = {
     "PARAM": re.compile(r"[A-Z]+\s*=.*", re.ASCII | re.IGNORECASE),
 }
 """Lines that files begin with, behind an ampersand; the controller's own, of which programs see nothing."""
-_LONGEST_LINE = 10 * LINE_LENGTH
+_LONGEST_LINE = 10 * syntax_tree.LINE_LENGTH
 """Longer lines are not read: they are refused anyway."""
 _SEGMENT = re.compile(r"Segment (\S[^:]*):", re.ASCII)
 
@@ -123,8 +99,8 @@ class Reader:
         if self.rows and not self.rows[-1]:
             self.rows.pop()
         for number, row in enumerate(self.rows, 1):
-            if len(row) > LINE_LENGTH:
-                what = f"the line has {len(row)} characters; allowed: {LINE_LENGTH}; break it"
+            if len(row) > syntax_tree.LINE_LENGTH:
+                what = f"the line has {len(row)} characters; allowed: {syntax_tree.LINE_LENGTH}; break it"
                 self.fault(number, "line_length", what)
         for n in long:
             self.rows[n] = ""
@@ -135,13 +111,13 @@ class Reader:
 
     # ---- .src ----
 
-    def program(self) -> Program | None:
+    def program(self) -> syntax_tree.Program | None:
         """The file as a program, None where it has no frame."""
         self._head()
         name = self._frame(_DEF, "DEF name()")
         external: list[str] = []
         declared: list[tuple[str, str]] = []
-        body: list[Statement] = []
+        body: list[syntax_tree.Statement] = []
         ended = False
         while self.at < len(self.rows):
             line, row = self.at + 1, self.rows[self.at].strip()
@@ -159,7 +135,7 @@ class Reader:
                 except KrlValueError as wrong:
                     self.fault(line, wrong.kind, wrong.message)
                     continue
-                body.append(Straight(line, word, (x, y, z, a, b, c), corner or "", axes))
+                body.append(syntax_tree.Straight(line, word, (x, y, z, a, b, c), corner or "", axes))
                 continue
             if not row or row.startswith(";"):
                 body += marked_comment(line, row)
@@ -168,14 +144,16 @@ class Reader:
             if code.upper() == "END":
                 ended = True
             elif found := _EXT.fullmatch(code):
-                if body and any(not isinstance(statement, Said) for statement in body):
+                if body and any(not isinstance(statement, syntax_tree.Said) for statement in body):
                     self.fault(line, "syntax", "EXT stands behind statements; it belongs right behind DEF")
                 if found[1].lower() == "bas":
                     self.fault(line, "syntax", "BAS has parameters: EXT BAS (BAS_COMMAND :IN,REAL :IN )")
                 external.append(found[1].lower())
-            elif _EXT_BAS.fullmatch(code) and not any(not isinstance(one, Said) for one in body):
+            elif _EXT_BAS.fullmatch(code) and not any(not isinstance(one, syntax_tree.Said) for one in body):
                 external.append("bas")
-            elif (found_ := variables(code)) and not any(not isinstance(one, Said) for one in body):
+            elif (found_ := variables(code)) and not any(
+                not isinstance(one, syntax_tree.Said) for one in body
+            ):
                 declared += found_
             else:
                 statement = self._statement(line, code)
@@ -184,9 +162,9 @@ class Reader:
         if not ended:
             self.fault(len(self.rows), "syntax", "there is no END")
         parts = (tuple(external), tuple(body), tuple(declared))
-        return None if name is None else Program(self.file, name, *parts)
+        return None if name is None else syntax_tree.Program(self.file, name, *parts)
 
-    def _statement(self, line: int, code: str) -> Statement | None:
+    def _statement(self, line: int, code: str) -> syntax_tree.Statement | None:
         if _WAIT_GUARD[0].fullmatch(code):
             return self._listen(line)
         if values.SPLINE_START.fullmatch(code):
@@ -205,7 +183,7 @@ class Reader:
         self.fault(line, "syntax", f"{_shown(code)}: no statement of the programs that are understood")
         return None
 
-    def _form(self, line: int, forms: list[Form]) -> Statement | None:
+    def _form(self, line: int, forms: list[Form]) -> syntax_tree.Statement | None:
         """The one of the forms that goes on as the rows do from ``line`` on."""
         form, found, end = max(
             ((form, *self._found(line, form)) for form in forms), key=lambda one: len(one[1])
@@ -244,7 +222,7 @@ class Reader:
             at += 1
         return found, at
 
-    def _listen(self, line: int) -> Statement | None:
+    def _listen(self, line: int) -> syntax_tree.Statement | None:
         """The guarded wait, whose first statement has been read."""
         found = self._guarded(_WAIT_GUARD[1:4])
         if found is None:
@@ -256,7 +234,7 @@ class Reader:
         text = ""
         if off and (form := next((f for f in PANEL_FORMS if f.rows[0].fullmatch(self._next())), None)):
             shown = self._form(self.at + 1, [form])
-            if not isinstance(shown, Notice) or shown.state:
+            if not isinstance(shown, syntax_tree.Notice) or shown.state:
                 self.fault(self.at, "syntax", "a guarded wait that is over shows one message, or none")
                 return None
             text = shown.text
@@ -268,8 +246,8 @@ class Reader:
         if not 0 < limit <= _LONGEST_WAIT_MS:
             self.fault(line, "type", f"a wait of {limit} ms; allowed: 1 to {_LONGEST_WAIT_MS}")
         if off:
-            return Await(line, number, level, limit * 1e-3, frozenset(off), text)
-        return Listen(line, number, level, limit * 1e-3)
+            return syntax_tree.Await(line, number, level, limit * 1e-3, frozenset(off), text)
+        return syntax_tree.Listen(line, number, level, limit * 1e-3)
 
     def _next(self) -> str:
         """The code of the next row that has any; comments before it are passed over."""
@@ -291,7 +269,7 @@ class Reader:
             self.at += 1
         return found
 
-    def _spline(self, line: int) -> Statement | None:
+    def _spline(self, line: int) -> syntax_tree.Statement | None:
         """The spline block whose SPLINE has been read; where it is none, the lines up to its end are passed
         over."""
         try:
@@ -302,7 +280,7 @@ class Reader:
             self.at += 1
         return None
 
-    def _behind(self) -> Iterator[tuple[int, str, list[Said]]]:
+    def _behind(self) -> Iterator[tuple[int, str, list[syntax_tree.Said]]]:
         """Rows from here on: line, code, and what is said there."""
         while self.at < len(self.rows):
             row = self.rows[self.at].strip()
@@ -312,11 +290,11 @@ class Reader:
 
     # ---- .dat ----
 
-    def data_list(self) -> DataList | None:
+    def data_list(self) -> syntax_tree.DataList | None:
         """The file as a data list, None where it has no frame."""
         self._head()
         name = self._frame(_DEFDAT, "DEFDAT name PUBLIC")
-        items: dict[str, Data] = {}
+        items: dict[str, syntax_tree.Data] = {}
         ended = False
         for line, row in self._lines():
             code = parted(row)[0]
@@ -337,9 +315,11 @@ class Reader:
         for item in items.values():
             if item.kind == "char" and isinstance(item.value, int):
                 self.fault(item.line, "no_value", f"{item.name} has no value; write {item.name}[]=...")
-        return None if name is None else DataList(self.file, name, items)
+        return None if name is None else syntax_tree.DataList(self.file, name, items)
 
-    def _declare(self, items: dict[str, Data], line: int, kind: str, name: str, text: str) -> None:
+    def _declare(
+        self, items: dict[str, syntax_tree.Data], line: int, kind: str, name: str, text: str
+    ) -> None:
         self.name(line, name)
         if name.lower() in items:
             self.fault(line, "name_duplicate", f"{name} is declared in line {items[name.lower()].line} too")
@@ -349,9 +329,9 @@ class Reader:
         except KrlValueError as wrong:
             self.fault(line, wrong.kind, f"{name}: {wrong.message}")
             return
-        items[name.lower()] = Data(line, kind, name, value)
+        items[name.lower()] = syntax_tree.Data(line, kind, name, value)
 
-    def _text(self, items: dict[str, Data], line: int, name: str, text: str) -> None:
+    def _text(self, items: dict[str, syntax_tree.Data], line: int, name: str, text: str) -> None:
         item = items.get(name.lower())
         if item is None or item.kind != "char":
             self.fault(line, "undeclared", f"{name}[] is not declared as CHAR")
@@ -360,15 +340,17 @@ class Reader:
         elif len(text) > item.value:
             self.fault(line, "type", f"{name}[] has {item.value} characters; got {len(text)}")
         else:
-            items[name.lower()] = Data(item.line, "char", item.name, text)
+            items[name.lower()] = syntax_tree.Data(item.line, "char", item.name, text)
 
     # ---- both ----
 
     def name(self, line: int, name: str) -> None:
         """Note what is wrong with a name of our own."""
-        if len(name) > NAME_LENGTH:
-            self.fault(line, "name_length", f"{name} has {len(name)} characters; allowed: {NAME_LENGTH}")
-        if name.lower() in RESERVED:
+        if len(name) > syntax_tree.NAME_LENGTH:
+            self.fault(
+                line, "name_length", f"{name} has {len(name)} characters; allowed: {syntax_tree.NAME_LENGTH}"
+            )
+        if name.lower() in syntax_tree.RESERVED:
             self.fault(line, "name_reserved", f"{name} is a word of KRL; take another name")
 
     def _head(self) -> None:
@@ -416,61 +398,63 @@ def parted(row: str) -> tuple[str, str]:
     return row, ""
 
 
-def marked_comment(line: int, row: str) -> list[Said]:
+def marked_comment(line: int, row: str) -> list[syntax_tree.Said]:
     """What a comment says to the proof; comments without one of the marks say nothing."""
     if row.startswith(";*"):
-        return [Said(line, "told", row[2:].strip())]
+        return [syntax_tree.Said(line, "told", row[2:].strip())]
     if row.startswith(";?"):
-        return [Said(line, "question", row[2:].strip())]
+        return [syntax_tree.Said(line, "question", row[2:].strip())]
     found = _SEGMENT.match(row[1:].lstrip()) if row.startswith(";") else None
-    return [Said(line, "segment", found[1].strip().lower())] if found else []
+    return [syntax_tree.Said(line, "segment", found[1].strip().lower())] if found else []
 
 
 def _shown(row: str) -> str:
     return repr(row if len(row) <= 60 else row[:57] + "...")
 
 
-def _set(line: int, found: re.Match[str]) -> Statement:
+def _set(line: int, found: re.Match[str]) -> syntax_tree.Statement:
     name, word = found[1].lower(), found[2].lower()
-    if name in NUMBER_SETTINGS:
-        low, high, whole = NUMBER_SETTINGS[name]
+    if name in syntax_tree.NUMBER_SETTINGS:
+        low, high, whole = syntax_tree.NUMBER_SETTINGS[name]
         if _NUMBER.fullmatch(word) is None:
             raise KrlValueError("type", f"{found[1]} takes a number; got {word}")
         if not low <= float(word) <= high or (whole and float(word) != int(float(word))):
             kind = "whole numbers" if whole else "numbers"
             raise KrlValueError("type", f"{found[1]} is {word}; allowed: {kind} from {low:g} to {high:g}")
-        return Set(line, name, float(word))
-    if name in CHOICE_SETTINGS:
-        if word not in CHOICE_SETTINGS[name]:
-            raise KrlValueError("type", f"{found[1]} is {word}; allowed: {', '.join(CHOICE_SETTINGS[name])}")
-        return Set(line, name, word)
-    if name in FRAME_SETTINGS:
-        return Set(line, name, word)
+        return syntax_tree.Set(line, name, float(word))
+    if name in syntax_tree.CHOICE_SETTINGS:
+        if word not in syntax_tree.CHOICE_SETTINGS[name]:
+            raise KrlValueError(
+                "type", f"{found[1]} is {word}; allowed: {', '.join(syntax_tree.CHOICE_SETTINGS[name])}"
+            )
+        return syntax_tree.Set(line, name, word)
+    if name in syntax_tree.FRAME_SETTINGS:
+        return syntax_tree.Set(line, name, word)
     raise KrlValueError("syntax", f"{found[1]} is no setting that these programs may make")
 
 
-def _straight(line: int, found: re.Match[str]) -> Statement:
+def _straight(line: int, found: re.Match[str]) -> syntax_tree.Statement:
     place, outer = values.place(found[2])
-    return Straight(line, found[1].upper(), place, (found[3] or "").upper(), outer)
+    return syntax_tree.Straight(line, found[1].upper(), place, (found[3] or "").upper(), outer)
 
 
-def _pause(line: int, found: re.Match[str]) -> Statement:
+def _pause(line: int, found: re.Match[str]) -> syntax_tree.Statement:
     values.number("WAIT SEC", found[1])  # the time counts as written, but has to be a number
-    return Pause(line, float(found[1]))
+    return syntax_tree.Pause(line, float(found[1]))
 
 
-def _output(line: int, found: re.Match[str]) -> Statement:
-    return Output(line, int(found[1]), found[2].upper() == "TRUE")
+def _output(line: int, found: re.Match[str]) -> syntax_tree.Statement:
+    return syntax_tree.Output(line, int(found[1]), found[2].upper() == "TRUE")
 
 
-_STATEMENTS: tuple[tuple[re.Pattern[str], Callable[[int, re.Match[str]], Statement]], ...] = (
+_STATEMENTS: tuple[tuple[re.Pattern[str], Callable[[int, re.Match[str]], syntax_tree.Statement]], ...] = (
     (_OUT, _output),
     (_SET, _set),
     (_STRAIGHT_MOVE, _straight),
-    (_PTP, lambda line, found: Joint(line, found[1].lower())),
+    (_PTP, lambda line, found: syntax_tree.Joint(line, found[1].lower())),
     (_WAIT, _pause),
-    (re.compile(r"BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)", re.IGNORECASE), lambda line, _: Start(line)),
-    (re.compile(r"HALT", re.IGNORECASE), lambda line, _: Halt(line)),
-    (_CALL, lambda line, found: Call(line, found[1].lower())),
+    (re.compile(r"BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)", re.IGNORECASE), lambda line, _: syntax_tree.Start(line)),
+    (re.compile(r"HALT", re.IGNORECASE), lambda line, _: syntax_tree.Halt(line)),
+    (_CALL, lambda line, found: syntax_tree.Call(line, found[1].lower())),
 )
 """Statements by their form, with what reads them."""

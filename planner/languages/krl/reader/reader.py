@@ -12,20 +12,10 @@ from pathlib import PurePosixPath
 from typing import ClassVar
 
 from planner.geometry.arrays import FloatArray
+from planner.languages.krl.reader import syntax_tree
 from planner.languages.krl.reader.flow import Runner
 from planner.languages.krl.reader.panel import VARIABLES, Panel
 from planner.languages.krl.reader.parser import Reader
-from planner.languages.krl.reader.syntax_tree import (
-    FRAME_SETTINGS,
-    Call,
-    DataList,
-    Joint,
-    Program,
-    Set,
-    Spline,
-    Statement,
-    Straight,
-)
 from planner.problem import Arm
 from planner.programs.program_text import ProgramText, Size
 from planner.programs.signals import Signals
@@ -45,13 +35,13 @@ class KrlText(ProgramText):
 
     language: ClassVar[str] = "krl"
 
-    programs: Mapping[str, Program]
-    data: DataList | None
+    programs: Mapping[str, syntax_tree.Program]
+    data: syntax_tree.DataList | None
     faults: tuple[Fault, ...]
     dialect: str
 
     @property
-    def main(self) -> Program | None:
+    def main(self) -> syntax_tree.Program | None:
         """The main program: the one that has the data list's name."""
         return None if self.data is None else self.programs.get(self.data.name.lower())
 
@@ -87,8 +77,8 @@ class KrlText(ProgramText):
 
 def read(files: Mapping[str, str], most_bytes: int, dialect: str) -> KrlText:
     """All files of one arm (file name -> text)."""
-    programs: dict[str, Program] = {}
-    lists: list[DataList] = []
+    programs: dict[str, syntax_tree.Program] = {}
+    lists: list[syntax_tree.DataList] = []
     faults: list[Fault] = []
     for file, text in files.items():
         size = len(text.encode("utf-8", "surrogatepass"))
@@ -104,7 +94,7 @@ def read(files: Mapping[str, str], most_bytes: int, dialect: str) -> KrlText:
         if PurePosixPath(file).stem.lower() != found.name.lower():
             what = f"the file holds {found.name}; file and program must have one name"
             faults.append(Fault(1, 1, "krl.name_file", what, file))
-        if isinstance(found, DataList):
+        if isinstance(found, syntax_tree.DataList):
             lists.append(found)
         elif found.name.lower() in programs:
             what = f"{found.name} is in {programs[found.name.lower()].file} too"
@@ -156,10 +146,10 @@ def _checked(text: KrlText, dialect: str) -> Iterator[Fault]:
                 yield Fault(statement.line, 1, f"krl.{kind}", what, program.file)
 
 
-def _externals(program: Program, text: KrlText, dialect: str) -> Iterator[Fault]:
+def _externals(program: syntax_tree.Program, text: KrlText, dialect: str) -> Iterator[Fault]:
     """Faults of EXT declarations: the older dialect needs one for each subprogram, the newer one none; and of
     variables, which the main program alone has."""
-    called = {statement.name for statement in program.body if isinstance(statement, Call)}
+    called = {statement.name for statement in program.body if isinstance(statement, syntax_tree.Call)}
     main = program is text.main
     wanted = VARIABLES[dialect] if main else {}
     if {name: kind for kind, name in program.variables} != wanted or len(program.variables) != len(wanted):
@@ -177,24 +167,24 @@ def _externals(program: Program, text: KrlText, dialect: str) -> Iterator[Fault]
         yield Fault(1, 1, "krl.syntax", what, program.file)
 
 
-def _used(statement: Statement, text: KrlText, dialect: str) -> Iterator[tuple[str, str]]:
+def _used(statement: syntax_tree.Statement, text: KrlText, dialect: str) -> Iterator[tuple[str, str]]:
     """What is wrong with the words and names that a statement uses."""
-    if isinstance(statement, Straight):
+    if isinstance(statement, syntax_tree.Straight):
         if statement.corner not in _MOVE_WORDS[dialect].get(statement.word, ()):
             words = f"{statement.word} {statement.corner}".rstrip()
             yield "syntax", f"{words} is not of the dialect {dialect}, which the cell's controller has"
         return
-    if isinstance(statement, Spline) and dialect != "krc4":
+    if isinstance(statement, syntax_tree.Spline) and dialect != "krc4":
         yield "syntax", f"SPLINE is not of the dialect {dialect}, which the cell's controller has"
-    if isinstance(statement, Call):
+    if isinstance(statement, syntax_tree.Call):
         if statement.name not in text.programs:
             yield "undeclared", f"there is no {statement.name}()"
         return
     used, wanted = "", tuple[str, ...]()
-    if isinstance(statement, Joint):
+    if isinstance(statement, syntax_tree.Joint):
         used, wanted = statement.name, ("e6axis", "e6pos")
-    elif isinstance(statement, Set) and statement.name in FRAME_SETTINGS:
-        used, wanted = str(statement.value), (FRAME_SETTINGS[statement.name],)
+    elif isinstance(statement, syntax_tree.Set) and statement.name in syntax_tree.FRAME_SETTINGS:
+        used, wanted = str(statement.value), (syntax_tree.FRAME_SETTINGS[statement.name],)
     if not wanted:
         return
     item = None if text.data is None else text.data.items.get(used)

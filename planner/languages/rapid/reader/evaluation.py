@@ -6,31 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from planner.languages.rapid.reader import syntax_tree
 from planner.languages.rapid.reader.lexer import INSTRUCTIONS
-from planner.languages.rapid.reader.syntax_tree import (
-    OPAQUE_TYPES,
-    PREDEFINED,
-    RECORDS,
-    Aggregate,
-    Assign,
-    Binary,
-    Data,
-    Expr,
-    For,
-    Function,
-    If,
-    Instruction,
-    Literal,
-    Module,
-    Name,
-    Procedure,
-    RapidValueError,
-    SyncIdent,
-    Unary,
-    Value,
-    While,
-    build,
-)
 from planner.languages.rapid.reader.type_check import placed
 from planner.programs.steps import LARGEST_NUMBER, FlowError, single
 
@@ -49,33 +26,39 @@ class Names:
     much may still be done on the way through them, so that loops and calls without end come to one.
     """
 
-    def __init__(self, modules: Sequence[Module]) -> None:
+    def __init__(self, modules: Sequence[syntax_tree.Module]) -> None:
         self.modules = {module.name.lower(): module for module in modules}
         self.written = frozenset(name for module in modules for name in _written(module))
         self.work = LEAST_WORK + WORK_PER_LINE * sum(module.lines for module in modules)
-        self._items: dict[str, dict[str, list[Data | Procedure]]] = {}
-        self._found: dict[tuple[str, str], tuple[Module, Data | Procedure] | None] = {}
+        self._items: dict[str, dict[str, list[syntax_tree.Data | syntax_tree.Procedure]]] = {}
+        self._found: dict[
+            tuple[str, str], tuple[syntax_tree.Module, syntax_tree.Data | syntax_tree.Procedure] | None
+        ] = {}
 
-    def find(self, key: str, here: Module) -> tuple[Module, Data | Procedure] | None:
+    def find(
+        self, key: str, here: syntax_tree.Module
+    ) -> tuple[syntax_tree.Module, syntax_tree.Data | syntax_tree.Procedure] | None:
         """What a name means in module `here`, and the module that declares it."""
         place = (here.name, key)
         if place not in self._found:
             self._found[place] = self._search(key, here)
         return self._found[place]
 
-    def _search(self, key: str, here: Module) -> tuple[Module, Data | Procedure] | None:
+    def _search(
+        self, key: str, here: syntax_tree.Module
+    ) -> tuple[syntax_tree.Module, syntax_tree.Data | syntax_tree.Procedure] | None:
         for module in (here, *(module for module in self.modules.values() if module is not here)):
             for item in self.items(module).get(key, ()):
                 if module is here or not item.local:
                     return module, item
         return None
 
-    def items(self, module: Module) -> dict[str, list[Data | Procedure]]:
+    def items(self, module: syntax_tree.Module) -> dict[str, list[syntax_tree.Data | syntax_tree.Procedure]]:
         """The declarations of a module by lower-case name."""
         key = module.name.lower()
         if key not in self._items:
-            table: dict[str, list[Data | Procedure]] = {}
-            items: list[Data | Procedure] = [*module.data, *module.procedures]
+            table: dict[str, list[syntax_tree.Data | syntax_tree.Procedure]] = {}
+            items: list[syntax_tree.Data | syntax_tree.Procedure] = [*module.data, *module.procedures]
             for item in items:
                 table.setdefault(item.name.lower(), []).append(item)
             self._items[key] = table
@@ -89,10 +72,10 @@ class Evaluator:
     keeps its last one when the program is run again.
     """
 
-    def __init__(self, modules: Sequence[Module], names: Names | None = None) -> None:
+    def __init__(self, modules: Sequence[syntax_tree.Module], names: Names | None = None) -> None:
         self.names = names or Names(modules)
         self.modules = self.names.modules
-        self.module: Module = modules[0]
+        self.module: syntax_tree.Module = modules[0]
         self.cells: dict[tuple[str, str], Any] = {}
         self.cache: dict[tuple[str, str], Any] = {}
         self.written = self.names.written
@@ -101,59 +84,63 @@ class Evaluator:
         """What to raise for a place in the current module."""
         return FlowError([placed(self.module, start, "rapid.flow", message)])
 
-    def find(self, key: str) -> tuple[Module, Data | Procedure] | None:
+    def find(self, key: str) -> tuple[syntax_tree.Module, syntax_tree.Data | syntax_tree.Procedure] | None:
         """What a name means in the current module, and the module that declares it."""
         return self.names.find(key, self.module)
 
-    def value(self, expr: Expr | None, kind: str) -> Value:
+    def value(self, expr: syntax_tree.Expr | None, kind: str) -> syntax_tree.Value:
         """The value of an expression, UNKNOWN where it is known at run time only."""
         match expr:
             case None:
                 return UNKNOWN
-            case Literal():
+            case syntax_tree.Literal():
                 return self._built(expr, kind, expr.value) if expr.kind == "list" else expr.value
-            case Name():
+            case syntax_tree.Name():
                 return self._name(expr)
-            case Aggregate():
+            case syntax_tree.Aggregate():
                 items = self._plain(expr)
                 return UNKNOWN if items is None else self._built(expr, kind, items)
-            case Unary():
+            case syntax_tree.Unary():
                 inner = self.value(expr.operand, "num")
                 return UNKNOWN if not isinstance(inner, bool | float | int) else _UNARY[expr.operator](inner)
-            case Binary():
+            case syntax_tree.Binary():
                 return self._binary(expr)
-            case Function():
+            case syntax_tree.Function():
                 return UNKNOWN
 
-    def _built(self, expr: Expr, kind: str, items: Any) -> Value:
+    def _built(self, expr: syntax_tree.Expr, kind: str, items: Any) -> syntax_tree.Value:
         try:
-            return build(kind, items)
-        except RapidValueError as wrong:
+            return syntax_tree.build(kind, items)
+        except syntax_tree.RapidValueError as wrong:
             raise FlowError([placed(self.module, expr.start, wrong.code, wrong.message)]) from None
 
-    def _plain(self, expr: Expr) -> Any:
-        if isinstance(expr, Literal):
+    def _plain(self, expr: syntax_tree.Expr) -> Any:
+        if isinstance(expr, syntax_tree.Literal):
             return expr.value
-        if isinstance(expr, Aggregate):
+        if isinstance(expr, syntax_tree.Aggregate):
             items = [self._plain(item) for item in expr.items]
             return UNKNOWN if any(item is None for item in items) else items
-        if isinstance(expr, Name):
+        if isinstance(expr, syntax_tree.Name):
             found = self.find(expr.key)
-            if found and isinstance(found[1], Data) and found[1].kind not in ("num", "bool", "string"):
+            if (
+                found
+                and isinstance(found[1], syntax_tree.Data)
+                and found[1].kind not in ("num", "bool", "string")
+            ):
                 raise self.fail(
                     expr.start, f"{expr.text}: records inside records must be written out in this subset"
                 )
         return self.value(expr, "num")
 
-    def _name(self, name: Name) -> Value:
+    def _name(self, name: syntax_tree.Name) -> syntax_tree.Value:
         counter = self.cells.get(("for", name.key))
         if counter is not None:
             return counter
         found = self.find(name.key)
         if found is None:
-            return PREDEFINED[name.key][1] if name.key in PREDEFINED else UNKNOWN
+            return syntax_tree.PREDEFINED[name.key][1] if name.key in syntax_tree.PREDEFINED else UNKNOWN
         module, data = found
-        if not isinstance(data, Data):
+        if not isinstance(data, syntax_tree.Data):
             return UNKNOWN
         key = (module.name.lower(), name.key)
         if key in self.cells:
@@ -163,12 +150,12 @@ class Evaluator:
             self.cache[key] = self._initial(module, data)
         return self.cache[key]
 
-    def _initial(self, module: Module, data: Data) -> Value:
+    def _initial(self, module: syntax_tree.Module, data: syntax_tree.Data) -> syntax_tree.Value:
         if data.kind == "syncident":
-            return SyncIdent(data.name)
-        if data.initial is None or data.kind in OPAQUE_TYPES or data.name.lower() in self.written:
+            return syntax_tree.SyncIdent(data.name)
+        if data.initial is None or data.kind in syntax_tree.OPAQUE_TYPES or data.name.lower() in self.written:
             return UNKNOWN
-        if "PERS" in data.storage and data.kind not in RECORDS:
+        if "PERS" in data.storage and data.kind not in syntax_tree.RECORDS:
             return UNKNOWN  # a number, truth or text that the operator may change between runs
         here, self.module = self.module, module
         try:
@@ -181,7 +168,7 @@ class Evaluator:
         finally:
             self.module = here
 
-    def _binary(self, expr: Binary) -> Value:
+    def _binary(self, expr: syntax_tree.Binary) -> syntax_tree.Value:
         left, right = self.value(expr.left, "num"), self.value(expr.right, "num")
         if expr.operator == "and" and (left is False or right is False):
             return False
@@ -208,25 +195,25 @@ def _single(value: Any) -> bool:
     return not isinstance(value, float) or single(value) == value
 
 
-def _written(module: Module) -> Iterator[str]:
+def _written(module: syntax_tree.Module) -> Iterator[str]:
     """Names, in lower case, that statements of the module write to."""
     todo = [block for p in module.procedures for block in (p.body, p.error or (), p.undo or ())]
     while todo:
         for statement in todo.pop():
             match statement:
-                case Assign():
+                case syntax_tree.Assign():
                     yield statement.target.key
-                case Instruction():
+                case syntax_tree.Instruction():
                     form = INSTRUCTIONS[statement.name.lower()]
                     slots = [*zip(form.required, statement.arguments, strict=False)]
                     slots += [(form.options[key][1], v) for key, v in statement.options if v is not None]
                     for kind, value in slots:
-                        if kind.startswith("variable") and isinstance(value, Name):
+                        if kind.startswith("variable") and isinstance(value, syntax_tree.Name):
                             yield value.key
-                case If():
+                case syntax_tree.If():
                     todo += [body for _, body in statement.branches]
                     todo.append(statement.otherwise)
-                case While() | For():
+                case syntax_tree.While() | syntax_tree.For():
                     todo.append(statement.body)
                 case _:
                     pass

@@ -18,20 +18,7 @@ from typing import Any
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, read_only
-from planner.programs.steps import (
-    LARGEST_NUMBER,
-    UNUSED_AXIS,
-    JointTarget,
-    Load,
-    RobTarget,
-    Speed,
-    Tool,
-    WorkObject,
-    Zone,
-    poses,
-    single,
-    singles,
-)
+from planner.programs import steps
 
 QUATERNION_TOLERANCE = 1e-5
 """How far the norm of a quaternion may be off 1."""
@@ -105,8 +92,8 @@ def build(kind: str, items: Any) -> Value:
                 _unit("robtarget.2", (a, b, c, d))
                 if math.isfinite(sum(numbers)):
                     axes = _NO_AXES if external == _NO_AXIS_VALUES else np.array(external, dtype=float)
-                    place, turn = singles((x, y, z)) * 1e-3, singles((a, b, c, d))
-                    return RobTarget(place, turn, _one_configuration(four), axes)
+                    place, turn = steps.singles((x, y, z)) * 1e-3, steps.singles((a, b, c, d))
+                    return steps.RobTarget(place, turn, _one_configuration(four), axes)
         except (TypeError, ValueError, OverflowError):
             pass  # the walk below finds what is wrong and says so
     conform(kind, items, kind)
@@ -114,7 +101,7 @@ def build(kind: str, items: Any) -> Value:
     return convert(items) if convert else items
 
 
-_NO_AXIS_VALUES = [UNUSED_AXIS] * 6
+_NO_AXIS_VALUES = [steps.UNUSED_AXIS] * 6
 _NO_AXES = read_only(np.array(_NO_AXIS_VALUES))
 """The external axes of nearly all of tens of thousands of targets, kept once."""
 
@@ -147,7 +134,7 @@ def conform(kind: str, items: Any, path: str) -> None:
     wanted = base_type(kind)
     if _kind(items) != wanted:
         raise RapidValueError("rapid.type", f"{path}: got {_kind(items)}; expected {wanted}")
-    if wanted == "num" and not abs(items) < LARGEST_NUMBER:
+    if wanted == "num" and not abs(items) < steps.LARGEST_NUMBER:
         raise RapidValueError("rapid.number", f"{path}: {items} is no number that a controller holds")
 
 
@@ -171,43 +158,51 @@ def _kind(item: Any) -> str:
 
 
 def _pos(items: Any) -> FloatArray:
-    return singles(items) * 1e-3
+    return steps.singles(items) * 1e-3
 
 
 def _pose(items: Any) -> FloatArray:
-    return poses(_pos(items[0]), singles(items[1]))
+    return steps.poses(_pos(items[0]), steps.singles(items[1]))
 
 
-def _load(items: Any) -> Load:
-    return Load(float(items[0]), _pos(items[1]), singles(items[2]), np.array(items[3:], dtype=float))
+def _load(items: Any) -> steps.Load:
+    return steps.Load(
+        float(items[0]), _pos(items[1]), steps.singles(items[2]), np.array(items[3:], dtype=float)
+    )
 
 
-def _rob(items: Any) -> RobTarget:
+def _rob(items: Any) -> steps.RobTarget:
     c1, c4, c6, cx = (int(value) for value in items[2])
-    return RobTarget(_pos(items[0]), singles(items[1]), (c1, c4, c6, cx), np.array(items[3], dtype=float))
+    return steps.RobTarget(
+        _pos(items[0]), steps.singles(items[1]), (c1, c4, c6, cx), np.array(items[3], dtype=float)
+    )
 
 
-def _speed(items: Any) -> Speed:
-    tcp, turn, linear, rotary = map(single, items)
-    return Speed(tcp * 1e-3, math.radians(turn), linear * 1e-3, math.radians(rotary))
+def _speed(items: Any) -> steps.Speed:
+    tcp, turn, linear, rotary = map(steps.single, items)
+    return steps.Speed(tcp * 1e-3, math.radians(turn), linear * 1e-3, math.radians(rotary))
 
 
-def _zone(items: Any) -> Zone:
-    fine, (tcp, turn, external, angle, linear, rotary) = items[0], map(single, items[1:])
+def _zone(items: Any) -> steps.Zone:
+    fine, (tcp, turn, external, angle, linear, rotary) = items[0], map(steps.single, items[1:])
     lengths = (tcp * 1e-3, turn * 1e-3, external * 1e-3)
-    return Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
+    return steps.Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
 
 
 _CONVERTERS: dict[str, Callable[[Any], Value]] = {
     "num": float,
     "pos": _pos,
-    "orient": singles,
+    "orient": steps.singles,
     "pose": _pose,
     "robtarget": _rob,
-    "jointtarget": lambda items: JointTarget(np.radians(singles(items[0])), np.array(items[1], dtype=float)),
+    "jointtarget": lambda items: steps.JointTarget(
+        np.radians(steps.singles(items[0])), np.array(items[1], dtype=float)
+    ),
     "loaddata": _load,
-    "tooldata": lambda items: Tool(items[0], _pose(items[1]), _load(items[2])),
-    "wobjdata": lambda items: WorkObject(items[0], items[1], items[2], _pose(items[3]), _pose(items[4])),
+    "tooldata": lambda items: steps.Tool(items[0], _pose(items[1]), _load(items[2])),
+    "wobjdata": lambda items: steps.WorkObject(
+        items[0], items[1], items[2], _pose(items[3]), _pose(items[4])
+    ),
     "speeddata": _speed,
     "zonedata": _zone,
     "tasks": lambda items: items[0],
@@ -259,7 +254,7 @@ def _predefined() -> dict[str, tuple[str, Value]]:
         for v in (*_SPEEDS_MM_S, 4000, 5000, 6000, 7000)
     }
     # vmax is the robot's own highest TCP speed: the instruction sets no limit
-    table["vmax"] = ("speeddata", Speed(math.inf, math.radians(500), 5.0, math.radians(1000)))
+    table["vmax"] = ("speeddata", steps.Speed(math.inf, math.radians(500), 5.0, math.radians(1000)))
     for name, (tcp, turn, angle) in _ZONES_MM.items():
         table[f"z{name}"] = ("zonedata", build("zonedata", [False, tcp, turn, turn, angle, turn, angle]))
     table["fine"] = ("zonedata", build("zonedata", [True, 0, 0, 0, 0, 0, 0]))

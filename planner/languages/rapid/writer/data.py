@@ -16,16 +16,7 @@ from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.issues import Issue, TandemError
 from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.writer.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
-from planner.languages.writing.layout import (
-    Carry,
-    Job,
-    Joints,
-    Load,
-    OperationProgram,
-    TaskProgram,
-    number,
-    short,
-)
+from planner.languages.writing import layout
 from planner.languages.writing.outer_axes import outer_names, outer_speeds
 from planner.languages.writing.steps import require_mass
 from planner.plans import Plan
@@ -60,7 +51,7 @@ def wobj_name(frame: str, setup: int) -> str:
     return ("w_stock" if frame == "stock" else "w_held") + _number(setup)
 
 
-def load_name(load: Load | None) -> str:
+def load_name(load: layout.Load | None) -> str:
     """Name of the loaddata of what is carried."""
     return "load0" if load is None else f"load_block{_number(load.setup)}"
 
@@ -72,7 +63,7 @@ def _number(setup: int) -> str:
 class Tools:
     """Names for the tools of a task, a tool's data under one name in all setups."""
 
-    def __init__(self, task: TaskProgram) -> None:
+    def __init__(self, task: layout.TaskProgram) -> None:
         self.names: dict[tuple[str, str], str] = {}
         for operation in task.operations:
             self.of(operation.arm.tool)
@@ -96,16 +87,16 @@ class Tools:
 class Stations:
     """Names for the joint targets of a task; equal joints of one kind share a name."""
 
-    def __init__(self, task: TaskProgram) -> None:
+    def __init__(self, task: layout.TaskProgram) -> None:
         self.task = task
         self.names: dict[str, tuple[str, FloatArray]] = {}
-        self.of(Joints(task.arm.home, "home", station=task.home_station), 0)
+        self.of(layout.Joints(task.arm.home, "home", station=task.home_station), 0)
         for number_, operation in enumerate(task.operations, 1):
             for step in operation.steps:
-                if isinstance(step, Joints):
+                if isinstance(step, layout.Joints):
                     self.of(step, number_)
 
-    def of(self, step: Joints, operation: int) -> str:
+    def of(self, step: layout.Joints, operation: int) -> str:
         """The name for a step of an operation, counted from 1."""
         text = jointtarget(np.rad2deg(self.task.robot.to_controller(step.q)), step.station)
         if text not in self.names:
@@ -120,8 +111,8 @@ class Stations:
 
 
 def data_lines(
-    task: TaskProgram,
-    job: Job,
+    task: layout.TaskProgram,
+    job: layout.Job,
     plan: Plan,
     problem: Problem,
     names: tuple[Tools, Stations],
@@ -136,15 +127,15 @@ def data_lines(
     tools, stations = names
     out += ["! tool and work objects" if len(tools.names) == 1 else "! tools and work objects"]
     out += [*tools.lines(), *_wobjs(task, job, plan), *_loads(task), ""]
-    speed = outer = short(min(problem.settings.tcp_speed * 1e3, BLIND_SPEED * 1e3), 3)
+    speed = outer = layout.short(min(problem.settings.tcp_speed * 1e3, BLIND_SPEED * 1e3), 3)
     turning = str(_ENTRY_TURN_RATE)
     moved = outer_speeds(task, plan, problem)
     if task.arm.axes:
-        outer = short(min(moved[axis.column].most for axis in task.arm.axes) * 1e3, 3)
+        outer = layout.short(min(moved[axis.column].most for axis in task.arm.axes) * 1e3, 3)
     if task.table is not None:
         most = min(moved[axis.column].most for axis in task.table.axes.values())
         rate = min(np.rad2deg(most), _ENTRY_TURN_RATE)
-        turning = short(np.floor(rate * 1e3) / 1e3, 3)
+        turning = layout.short(np.floor(rate * 1e3) / 1e3, 3)
     out += ["! on the way to the first target and home again"]
     out += [
         f"CONST speeddata {ENTRY_SPEED_NAME}:=[{speed},{_ENTRY_TURN_RATE},{outer},{turning}];",
@@ -164,11 +155,11 @@ def data_lines(
 
 def _tool(tool: Tool) -> str:
     require_mass(tool, "RAPID needs at least {} kg")
-    load = f"[{number(tool.mass, 3)},{vector(tool.cog * 1e3, 3)},[1,0,0,0],0,0,0]"
+    load = f"[{layout.number(tool.mass, 3)},{vector(tool.cog * 1e3, 3)},[1,0,0,0],0,0,0]"
     return f"[TRUE,{pose(tool.tcp)},{load}]"
 
 
-def _wobjs(task: TaskProgram, job: Job, plan: Plan) -> list[str]:
+def _wobjs(task: layout.TaskProgram, job: layout.Job, plan: Plan) -> list[str]:
     """Work objects of the frames that the task's targets are in, setup by setup.
 
     ``TASK PERS``, though equal in all tasks: a shared ``PERS`` keeps the value of a program loaded before.
@@ -193,7 +184,7 @@ def _wobjs(task: TaskProgram, job: Job, plan: Plan) -> list[str]:
     return [f"TASK PERS wobjdata {name}:={data};" for name, data in out.items()]
 
 
-def _held(holder: TaskProgram, operation: OperationProgram) -> str:
+def _held(holder: layout.TaskProgram, operation: layout.OperationProgram) -> str:
     """A work object that rides on the holder's flange, its object frame being the holder's TCP frame.
 
     The controller itself keeps a moving user frame at the flange of the unit named; what a program states
@@ -202,14 +193,14 @@ def _held(holder: TaskProgram, operation: OperationProgram) -> str:
     return f"[FALSE,FALSE,{quoted(holder.unit)},{pose(np.eye(4))},{pose(operation.arm.tool.tcp)}]"
 
 
-def _loads(task: TaskProgram) -> list[str]:
+def _loads(task: layout.TaskProgram) -> list[str]:
     """What the arm carries; the centre and the axes of the moments of inertia are in the tool's frame."""
     steps = (step for operation in task.operations for step in operation.steps)
     out = []
-    for load in (step.load for step in steps if isinstance(step, Carry) and step.load is not None):
+    for load in (step.load for step in steps if isinstance(step, layout.Carry) and step.load is not None):
         axes, cog = vector(to_quaternion(load.axes), 8), vector(load.cog * 1e3, 3)
-        moments = ",".join(number(float(value), 6) for value in load.inertia)
-        data = f"[{number(load.mass, 4)},{cog},{axes},{moments}]"
+        moments = ",".join(layout.number(float(value), 6) for value in load.inertia)
+        data = f"[{layout.number(load.mass, 4)},{cog},{axes},{moments}]"
         out.append(f"TASK PERS loaddata {load_name(load)}:={data};")
     return out
 
@@ -220,7 +211,9 @@ _AXES = "xyz"
 """Components of a position."""
 
 
-def check_procedures(task: TaskProgram, job: Job, plan: Plan, tools: Tools, robot: str) -> list[str]:
+def check_procedures(
+    task: layout.TaskProgram, job: layout.Job, plan: Plan, tools: Tools, robot: str
+) -> list[str]:
     """Statements of the procedure :data:`CELL_CHECK`; ``robot`` is the robot's name in the configuration."""
     place = quoted(f"/MOC/ROBOT/{robot}")
     out = ["VAR pose cfg_base;", "VAR num cfg_value;"]
@@ -237,7 +230,7 @@ def check_procedures(task: TaskProgram, job: Job, plan: Plan, tools: Tools, robo
     return [*out, *_wobj_checks(task, job, plan)]
 
 
-def _wobj_checks(task: TaskProgram, job: Job, plan: Plan) -> list[str]:
+def _wobj_checks(task: layout.TaskProgram, job: layout.Job, plan: Plan) -> list[str]:
     """Where the user frame is fixed it is compared too; one that moves is the controller's own."""
     out: dict[str, list[str]] = {}
     for index, operation in enumerate(task.operations):
@@ -269,7 +262,7 @@ AXIS_AWAY = {"mm": "1", "deg": "0.1"}
 """How far one may be off home, by the unit of its values."""
 
 
-def axes_checks(task: TaskProgram) -> list[str]:
+def axes_checks(task: layout.TaskProgram) -> list[str]:
     """Statements of the procedure :data:`AXES_CHECK`, none where the task moves no external axis. One that is
     not active has the value 9E9 and is off, too."""
     if task.home_station is None:
@@ -279,7 +272,7 @@ def axes_checks(task: TaskProgram) -> list[str]:
         label, sign = outer_names(task)[column]
         name = quoted(rapid_sentences.axis_of(label))
         value = f"cfg_here.extax.eax_{'abcdef'[column]}"
-        out.append(f"check_axis {name},{value},{number(home, OUTER_DECIMALS)},{AXIS_AWAY[sign]};")
+        out.append(f"check_axis {name},{value},{layout.number(home, OUTER_DECIMALS)},{AXIS_AWAY[sign]};")
     return out
 
 

@@ -16,21 +16,7 @@ import numpy as np
 
 from planner.catalogue.robots import RobotData
 from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, to_quaternion
-from planner.languages.trajectories.reader.rows import (
-    AskRow,
-    AtRow,
-    AwaitRow,
-    CarryRow,
-    DwellRow,
-    MoveRow,
-    OperationRow,
-    Point,
-    Program,
-    Row,
-    SetRow,
-    TellRow,
-    ToolRow,
-)
+from planner.languages.trajectories.reader import rows
 from planner.programs.steps import (
     CarryStep,
     Fault,
@@ -69,7 +55,7 @@ def pose(values: Sequence[float]) -> FloatArray:
     return from_parts(exp_rotation(np.array(values[3:])), np.array(values[:3]))
 
 
-def columns(program: Program) -> dict[str, slice]:
+def columns(program: rows.Program) -> dict[str, slice]:
     """Where the joints of each arm stand among the numbers of a row."""
     out, first = {}, 0
     for arm in program.arms:
@@ -78,19 +64,19 @@ def columns(program: Program) -> dict[str, slice]:
     return out
 
 
-def flow(program: Program, data: Mapping[str, RobotData]) -> dict[str, tuple[Step, ...]]:
+def flow(program: rows.Program, data: Mapping[str, RobotData]) -> dict[str, tuple[Step, ...]]:
     """{arm: its steps} of a program without faults; ``data`` of the arms' robots. Raises `FlowError`."""
     return _Runner(program, data).run()
 
 
 class _Runner:
-    def __init__(self, program: Program, data: Mapping[str, RobotData]) -> None:
+    def __init__(self, program: rows.Program, data: Mapping[str, RobotData]) -> None:
         self.program, self.data = program, data
         self.arms = [arm.arm for arm in program.arms]
         self.columns = columns(program)
         self.out: dict[str, list[Step]] = {arm: [] for arm in self.arms}
         self.tools: dict[str, tuple[str, Tool]] = {}
-        self.operation: OperationRow | None = None
+        self.operation: rows.OperationRow | None = None
         self.label = WAY_LABEL
         """Where in the work of its operation an arm stands."""
         self.frames: dict[tuple[int, int], WorkObject] = {}
@@ -106,48 +92,48 @@ class _Runner:
             self._row(row)
         return {arm: tuple(steps) for arm, steps in self.out.items()}
 
-    def _fail(self, row: Row, message: str) -> NoReturn:
+    def _fail(self, row: rows.Row, message: str) -> NoReturn:
         raise FlowError([Fault(row.line, 1, "trajectory.flow", message, self.program.file)])
 
-    def _where(self, row: Row, label: str = "main") -> tuple[str, str, int, str]:
+    def _where(self, row: rows.Row, label: str = "main") -> tuple[str, str, int, str]:
         return self.program.file.rpartition("/")[2], label, row.line, ""
 
-    def _row(self, row: Row) -> None:
+    def _row(self, row: rows.Row) -> None:
         where, lead = self._where(row), self.out[self.arms[0]]
         match row:
-            case OperationRow():
+            case rows.OperationRow():
                 self.operation, self.label = row, WAY_LABEL
-            case CarryRow(arm=arm, mass=mass, centre=centre, axes=axes, inertia=inertia):
+            case rows.CarryRow(arm=arm, mass=mass, centre=centre, axes=axes, inertia=inertia):
                 turn = to_quaternion(exp_rotation(np.array(axes)))
                 load = Load(mass, np.array(centre), turn, np.array(inertia))
                 self.out[arm].append(CarryStep(*where, load, f"what {arm} holds"))
-            case ToolRow(tool=name, arm=arm, tcp=tcp, mass=mass, centre=centre):
+            case rows.ToolRow(tool=name, arm=arm, tcp=tcp, mass=mass, centre=centre):
                 load = Load(mass, np.array(centre), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
                 self.tools[arm] = name, Tool(True, pose(tcp), load)
-            case AtRow(at=values):
+            case rows.AtRow(at=values):
                 self.here = values if self.here is None else self.here
-            case TellRow(text=text):
+            case rows.TellRow(text=text):
                 lead.append(MessageStep(*where, "tell", (text,), False, text, False, "line"))
-            case AskRow(text=text):
+            case rows.AskRow(text=text):
                 lead.append(MessageStep(*where, "ask", (text,), True, text, True))
                 self._meet(row, "WaitSyncTask", f"asked_{row.line}")
-            case SetRow(signal=signal, to=value):
+            case rows.SetRow(signal=signal, to=value):
                 lead.append(SignalStep(*where, "set", signal, float(value), 0.0, True))
-            case AwaitRow(signal=signal, to=value, within=seconds):
+            case rows.AwaitRow(signal=signal, to=value, within=seconds):
                 lead.append(WaitStep(*where, "await", seconds, signal, float(value), True))
-            case DwellRow(seconds=seconds):
+            case rows.DwellRow(seconds=seconds):
                 if seconds <= 0.0:
                     self._fail(row, f"a dwell of {seconds:g} s")
                 lead.append(WaitStep(*where, "dwell", seconds, "", None, True))
-            case MoveRow():
+            case rows.MoveRow():
                 self._move(row)
 
-    def _meet(self, row: Row, kind: str, ident: str) -> None:
+    def _meet(self, row: rows.Row, kind: str, ident: str) -> None:
         if len(self.arms) > 1:
             for arm in self.arms:
                 self.out[arm].append(SyncStep(*self._where(row), kind, ident, tuple(self.arms)))
 
-    def _move(self, row: MoveRow) -> None:
+    def _move(self, row: rows.MoveRow) -> None:
         if self.here is None:
             self._fail(row, "a move before any row says where the arms stand (at)")
         missing = [arm for arm in row.arms if arm not in self.tools]
@@ -187,7 +173,7 @@ class _Runner:
         self._meet(row, "SyncMoveOff" if together else "WaitSyncTask", f"goal_{self.goals}_end")
         self.here = row.points[-1].q
 
-    def _checked(self, row: MoveRow) -> None:
+    def _checked(self, row: rows.MoveRow) -> None:
         """Times ascend, the move ends at rest, and what stands keeps its numbers."""
         before = 0.0
         stood = self.here or ()
@@ -205,7 +191,9 @@ class _Runner:
         if any(last.v):
             self._fail(last, "the last point of a move is no rest: a velocity is not 0")
 
-    def _step(self, label: str, kind: str, point: Point, arm: str, time: float, together: bool) -> MoveStep:
+    def _step(
+        self, label: str, kind: str, point: rows.Point, arm: str, time: float, together: bool
+    ) -> MoveStep:
         own = self.columns[arm]
         q, v = np.array(point.q[own]), np.array(point.v[own])
         name, tool = self.tools[arm]

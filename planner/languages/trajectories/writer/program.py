@@ -25,22 +25,8 @@ from planner.languages.trajectories.writer.curves import Curve, curve
 from planner.languages.trajectories.writer.rows import JOINT_DECIMALS, TIME_DECIMALS, row
 from planner.languages.trajectories.writer.straight_ways import Driven, NotKeptError
 from planner.languages.trajectories.writer.wanted import wanted
+from planner.languages.writing import layout
 from planner.languages.writing.language import Margins, WrittenPrograms
-from planner.languages.writing.layout import (
-    Carry,
-    Do,
-    Job,
-    Joints,
-    Load,
-    Meet,
-    OperationProgram,
-    Run,
-    Step,
-    SyncOff,
-    SyncOn,
-    TaskProgram,
-    kilobytes,
-)
 from planner.languages.writing.steps import require_mass
 from planner.plans import Plan
 from planner.problem import Arm, Controller, Problem
@@ -52,7 +38,7 @@ SAME_JOINTS: Final = 1e-6
 """Joints [rad] that differ by less are one place."""
 WITHIN_GOALS: Final = 2.0
 """Where a move begins is looked at within so many times what its goal may be off."""
-Piece = tuple[bool, Mapping[str, list[Step]]]
+Piece = tuple[bool, Mapping[str, list[layout.Step]]]
 """What stands between two meetings: whether arms move at once, and steps by arm."""
 
 
@@ -63,7 +49,7 @@ def joint_names(arm: Arm, controller: Controller) -> tuple[str, ...]:
 
 
 def write(
-    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+    tasks: Sequence[layout.TaskProgram], job: layout.Job, plan: Plan, problem: Problem, margins: Margins
 ) -> WrittenPrograms:
     """Write the file of a job. Raises :class:`TandemError` (``post.*``)."""
     del tasks, margins  # one controller moves all arms, and the file has no comments
@@ -74,7 +60,7 @@ def write(
     if main.points > limits.max_moves or len(text.encode()) > limits.max_bytes:
         got = f"{path} has {main.points} points and {len(text.encode())} bytes"
         message = f"{got}; allowed: {limits.max_moves} and {limits.max_bytes}, for it is one program"
-        most = max(main.points, limits.max_moves), max(kilobytes(text), limits.max_bytes // 1000)
+        most = max(main.points, limits.max_moves), max(layout.kilobytes(text), limits.max_bytes // 1000)
         hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
         raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
     planned = [operation.time for operation in plan.operations]
@@ -84,7 +70,7 @@ def write(
 class _Main:
     """Writes the rows of a job."""
 
-    def __init__(self, job: Job, plan: Plan, problem: Problem) -> None:
+    def __init__(self, job: layout.Job, plan: Plan, problem: Problem) -> None:
         self.job, self.plan, self.problem = job, plan, problem
         self.controller = problem.cell.controller
         self.arms = [task.arm.name for task in job.tasks]
@@ -96,7 +82,7 @@ class _Main:
         self.here = np.concatenate([task.arm.home for task in job.tasks])
         self.on: list[str] = []
         self.tools: dict[str, Tool] = {}
-        self.begins: tuple[str, Mapping[str, OperationProgram]] | None = None
+        self.begins: tuple[str, Mapping[str, layout.OperationProgram]] | None = None
         """The operation's own row, and its programs, until something moves."""
         self.out: list[str] = []
         self.points = 0
@@ -122,7 +108,7 @@ class _Main:
             self._operation({task.arm.name: task.operations[index] for task in self.job.tasks})
         return self.out
 
-    def _arm(self, task: TaskProgram) -> None:
+    def _arm(self, task: layout.TaskProgram) -> None:
         values = {
             "arm": rows.name(task.arm.name),
             "robot": rows.name(task.arm.robot),
@@ -133,7 +119,7 @@ class _Main:
 
     # ---- operations ----
 
-    def _operation(self, programs: Mapping[str, OperationProgram]) -> None:
+    def _operation(self, programs: Mapping[str, layout.OperationProgram]) -> None:
         first = programs[self.arms[0]]
         stock = self.problem.setups[first.setup - 1].stock
         holder = stock.held_by
@@ -151,7 +137,7 @@ class _Main:
                 for arm, own in steps.items():
                     self._alone(arm, own, programs[arm])
 
-    def _tool(self, arm: str, program: OperationProgram) -> None:
+    def _tool(self, arm: str, program: layout.OperationProgram) -> None:
         tool = program.arm.tool
         if self.tools.get(arm) is tool:
             return
@@ -166,33 +152,35 @@ class _Main:
         }
         self.out.append(row(values))
 
-    def _alone(self, arm: str, steps: Sequence[Step], program: OperationProgram) -> None:
-        for kind, group in itertools.groupby(steps, key=lambda step: isinstance(step, Run)):
+    def _alone(self, arm: str, steps: Sequence[layout.Step], program: layout.OperationProgram) -> None:
+        for kind, group in itertools.groupby(steps, key=lambda step: isinstance(step, layout.Run)):
             if kind:
-                runs = [step for step in group if isinstance(step, Run)]
+                runs = [step for step in group if isinstance(step, layout.Run)]
                 self._work((arm,), {arm: program}, runs)
                 continue
             for step in group:
                 match step:
-                    case Joints(q=q):
+                    case layout.Joints(q=q):
                         self._way({arm: q}, {arm: program})
-                    case Do(action):
+                    case layout.Do(action):
                         self._action(action, arm)
-                    case Carry(load):
+                    case layout.Carry(load):
                         self._carry(arm, load)
 
     def _together(
-        self, steps: Mapping[str, Sequence[Step]], programs: Mapping[str, OperationProgram]
+        self, steps: Mapping[str, Sequence[layout.Step]], programs: Mapping[str, layout.OperationProgram]
     ) -> None:
         moving = {arm: own for arm, own in steps.items() if own}
-        runs = {arm: [step for step in own if isinstance(step, Run)] for arm, own in moving.items()}
-        ways = {arm: [step for step in own if isinstance(step, Joints)] for arm, own in moving.items()}
+        runs = {arm: [step for step in own if isinstance(step, layout.Run)] for arm, own in moving.items()}
+        ways = {arm: [step for step in own if isinstance(step, layout.Joints)] for arm, own in moving.items()}
         if any(runs.values()):
             self._work(tuple(moving), programs, next(iter(runs.values())))
         for stations in zip(*ways.values(), strict=True):
             self._way({arm: step.q for arm, step in zip(ways, stations, strict=True)}, programs)
 
-    def _driven(self, arms: Sequence[str], programs: Mapping[str, OperationProgram]) -> dict[str, Driven]:
+    def _driven(
+        self, arms: Sequence[str], programs: Mapping[str, layout.OperationProgram]
+    ) -> dict[str, Driven]:
         """The arms that move, their joints side by side."""
         out: dict[str, Driven] = {}
         first = 0
@@ -210,7 +198,7 @@ class _Main:
 
     # ---- moves ----
 
-    def _way(self, ends: Mapping[str, FloatArray], programs: Mapping[str, OperationProgram]) -> None:
+    def _way(self, ends: Mapping[str, FloatArray], programs: Mapping[str, layout.OperationProgram]) -> None:
         arms = [arm for arm in self.arms if arm in ends]
         goal = self.here.copy()
         for arm in arms:
@@ -225,7 +213,7 @@ class _Main:
         self._point(begun + took + 10.0**-TIME_DECIMALS, goal, np.zeros(self.width))
 
     def _work(
-        self, arms: Sequence[str], programs: Mapping[str, OperationProgram], runs: Sequence[Run]
+        self, arms: Sequence[str], programs: Mapping[str, layout.OperationProgram], runs: Sequence[layout.Run]
     ) -> None:
         first, last = runs[0].first, runs[-1].last
         tracks = {arm: programs[arm].track for arm in arms}
@@ -314,7 +302,7 @@ class _Main:
 
     # ---- what is said and switched ----
 
-    def _carry(self, arm: str, load: Load | None) -> None:
+    def _carry(self, arm: str, load: layout.Load | None) -> None:
         """What the tool holds from here on, in the frame of its TCP; of nothing the mass is 0."""
         mass, centre, turn, inertia = 0.0, np.zeros(3), np.zeros(3), np.zeros(3)
         if load is not None:
@@ -370,14 +358,14 @@ def no_torch(arm: str) -> Issue:
     return Issue("post.controller", what, arm=arm, hint=hint)
 
 
-def _pieces(programs: Mapping[str, OperationProgram]) -> list[Piece]:
+def _pieces(programs: Mapping[str, layout.OperationProgram]) -> list[Piece]:
     """The steps of an operation between meetings, side by side."""
-    parts: list[list[tuple[bool, list[Step]]]] = []
+    parts: list[list[tuple[bool, list[layout.Step]]]] = []
     for program in programs.values():
-        inside, own = False, [(False, list[Step]())]
+        inside, own = False, [(False, list[layout.Step]())]
         for step in program.steps:
-            if isinstance(step, SyncOn | SyncOff | Meet):
-                inside = isinstance(step, SyncOn)
+            if isinstance(step, layout.SyncOn | layout.SyncOff | layout.Meet):
+                inside = isinstance(step, layout.SyncOn)
                 own.append((inside, []))
             else:
                 own[-1][1].append(step)

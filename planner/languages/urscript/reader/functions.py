@@ -7,18 +7,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from planner.languages.urscript.reader.syntax_tree import (
-    ARC_FUNCTION,
-    AWAIT_ARC,
-    AWAIT_LINE,
-    AWAIT_RUNNING,
-    CHECK,
-    STAND,
-    WATCH,
-    WATCH_ARC,
-    ArcFunction,
-    Ending,
-)
+from planner.languages.urscript.reader import syntax_tree
 from planner.languages.urscript.reader.words import (
     INPUTS,
     OUTPUT_WORDS,
@@ -45,36 +34,38 @@ MOST_STOOD: Final = 600.0
 """Longest time [s] for which a torch may stand that is read."""
 
 
-def function(line: int, words: Line, rows: Rows) -> tuple[str, Ending | ArcFunction]:
+def function(line: int, words: Line, rows: Rows) -> tuple[str, syntax_tree.Ending | syntax_tree.ArcFunction]:
     """The name of a function or thread whose head has these ``words``, and what it does."""
     thread = words.next.text == "thread"
     words.signs("thread" if thread else "def")
     word = words.take("name")
-    if (found := re.fullmatch(ARC_FUNCTION, word)) and thread == (found[1] == WATCH_ARC):
+    if (found := re.fullmatch(syntax_tree.ARC_FUNCTION, word)) and thread == (
+        found[1] == syntax_tree.WATCH_ARC
+    ):
         return word, (_watch_arc if thread else _await_arc)(line, words, rows)
     if thread:
-        if word != WATCH:
+        if word != syntax_tree.WATCH:
             raise ScriptError("syntax", f"{word}: no thread of these programs")
         return word, _watch(line, words, rows)
-    if word == STAND:
+    if word == syntax_tree.STAND:
         words.signs("(", "seconds", ")", ":")
         words.done()
         must_be(rows, "sleep(seconds)", "end")
-        return STAND, Ending(line, (), -1, (), "")
-    if word not in (AWAIT_LINE, AWAIT_RUNNING, CHECK):
+        return syntax_tree.STAND, syntax_tree.Ending(line, (), -1, (), "")
+    if word not in (syntax_tree.AWAIT_LINE, syntax_tree.AWAIT_RUNNING, syntax_tree.CHECK):
         raise ScriptError("syntax", f"{word}: no function of these programs")
     return word, _of_partner(line, word, words, rows)
 
 
-def _of_partner(line: int, word: str, words: Line, rows: Rows) -> Ending:
+def _of_partner(line: int, word: str, words: Line, rows: Rows) -> syntax_tree.Ending:
     """A function that waits for the other program, or looks at it."""
-    words.signs("(", "level", ",", "own" if word == CHECK else "limit", ")", ":")
+    words.signs("(", "level", ",", "own" if word == syntax_tree.CHECK else "limit", ")", ":")
     words.done()
-    if word == CHECK:
+    if word == syntax_tree.CHECK:
         numbers, own = _condition(rows, "if", "==", "False", "or", "!=", "own")
         off, text = switched_off(rows, blocking=True)
         must_be(rows, "end", "end")
-        return Ending(line, numbers, own, off, text)
+        return syntax_tree.Ending(line, numbers, own, off, text)
     must_be(rows, "local passed=0.0")
     numbers, own = _condition(rows, "while", "==", "False")
     again = Line(next_code(rows))
@@ -85,10 +76,10 @@ def _of_partner(line: int, word: str, words: Line, rows: Rows) -> Ending:
     again.done()
     off, text = switched_off(rows, blocking=True)
     must_be(rows, "end", f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "end", "end")
-    return Ending(line, numbers, own, off, text)
+    return syntax_tree.Ending(line, numbers, own, off, text)
 
 
-def _watch(line: int, words: Line, rows: Rows) -> Ending:
+def _watch(line: int, words: Line, rows: Rows) -> syntax_tree.Ending:
     """The thread that watches the other program."""
     words.signs("(", ")", ":")
     words.done()
@@ -102,10 +93,10 @@ def _watch(line: int, words: Line, rows: Rows) -> Ending:
     must_be(rows, "sync()", "end")
     off, text = switched_off(rows, blocking=False)
     must_be(rows, "end")
-    return Ending(line, (number,), own, off, text)
+    return syntax_tree.Ending(line, (number,), own, off, text)
 
 
-def _await_arc(line: int, words: Line, rows: Rows) -> ArcFunction:
+def _await_arc(line: int, words: Line, rows: Rows) -> syntax_tree.ArcFunction:
     """The function that waits for a torch to burn."""
     words.signs("(", "limit", ")", ":")
     words.done()
@@ -118,10 +109,10 @@ def _await_arc(line: int, words: Line, rows: Rows) -> ArcFunction:
     must_be(rows, "if passed>limit:")
     off, text = switched_off(rows, blocking=True)
     must_be(rows, "end", f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "end", "end")
-    return ArcFunction(line, given, None, off, text)
+    return syntax_tree.ArcFunction(line, given, None, off, text)
 
 
-def _watch_arc(line: int, words: Line, rows: Rows) -> ArcFunction:
+def _watch_arc(line: int, words: Line, rows: Rows) -> syntax_tree.ArcFunction:
     """The thread that watches a torch which burns: its output, its input if it has one, and whether it
     stands."""
     words.signs("(", ")", ":")
@@ -164,13 +155,13 @@ def _watch_arc(line: int, words: Line, rows: Rows) -> ArcFunction:
     must_be(rows, "arc_place=get_actual_tcp_pose()", "arc_stood=0.0", "end", "end")
     off, text = switched_off(rows, blocking=False)
     must_be(rows, "end")
-    return ArcFunction(line, given, own, off, text, stood, far)
+    return syntax_tree.ArcFunction(line, given, own, off, text, stood, far)
 
 
 def awaits_arc(word: str) -> bool:
     """Whether a name is that of a function that waits for a torch to burn."""
-    found = re.fullmatch(ARC_FUNCTION, word)
-    return found is not None and found[1] == AWAIT_ARC
+    found = re.fullmatch(syntax_tree.ARC_FUNCTION, word)
+    return found is not None and found[1] == syntax_tree.AWAIT_ARC
 
 
 def _condition(rows: Rows, word: str, *behind: str) -> tuple[tuple[int, ...], int]:

@@ -10,43 +10,8 @@ import re
 from collections.abc import Callable
 from typing import Final, Literal
 
+from planner.languages.urscript.reader import syntax_tree
 from planner.languages.urscript.reader.functions import awaits_arc, ended, function, switched_off
-from planner.languages.urscript.reader.syntax_tree import (
-    ARC_FUNCTION,
-    ARC_VARIABLE,
-    AWAIT_LINE,
-    AWAIT_RUNNING,
-    CHECK,
-    LINE_LENGTH,
-    NAME_LENGTH,
-    RESERVED,
-    STAND,
-    WATCH,
-    WATCH_ARC,
-    WATCHING,
-    WATCHING_ARC,
-    ArcFunction,
-    Await,
-    AwaitArc,
-    Begins,
-    Check,
-    Data,
-    Ending,
-    GuardArc,
-    Joint,
-    Look,
-    Output,
-    Pause,
-    Popup,
-    Program,
-    SetPayload,
-    SetTcp,
-    Stand,
-    Statement,
-    StaysLow,
-    Straight,
-    Watch,
-)
 from planner.languages.urscript.reader.words import (
     OUTPUT_WORDS,
     OUTPUTS_READ,
@@ -77,7 +42,7 @@ MOST_WAIT: Final = 1e6
 """Longest wait for the other program that is read [s]."""
 
 
-def _movel(line: int, words: Line) -> Statement:
+def _movel(line: int, words: Line) -> syntax_tree.Statement:
     words.signs("pose_trans", "(")
     frame = words.take("name")
     words.signs(",")
@@ -89,79 +54,90 @@ def _movel(line: int, words: Line) -> Statement:
     radius = words.number()
     if not 0.0 <= radius <= 1.0:
         raise ScriptError("type", f"r is {radius:g}; allowed: 0 to 1 (m)")
-    return Straight(line, frame, place, seconds, radius)
+    return syntax_tree.Straight(line, frame, place, seconds, radius)
 
 
-def _movej(line: int, words: Line) -> Statement:
+def _movej(line: int, words: Line) -> syntax_tree.Statement:
     name = words.take("name")
     words.keyed("a")
     acceleration = words.above(0.0, 100.0, "a")
     words.keyed("v")
-    return Joint(line, name, acceleration, words.above(0.0, 10.0, "v"))
+    return syntax_tree.Joint(line, name, acceleration, words.above(0.0, 10.0, "v"))
 
 
-def _payload(line: int, words: Line) -> Statement:
+def _payload(line: int, words: Line) -> syntax_tree.Statement:
     mass = words.above(0.0, 1000.0, "the mass")
     words.signs(",")
     x, y, z = words.numbers(3)
-    return SetPayload(line, mass, (x, y, z))
+    return syntax_tree.SetPayload(line, mass, (x, y, z))
 
 
-def _popup(line: int, words: Line) -> Statement:
+def _popup(line: int, words: Line) -> syntax_tree.Statement:
     text, title, blocking = shown(words, error=False)
     kind = _TITLES.get((title, blocking))
     if kind is None:
         told = "blocking" if blocking else "not blocking"
         raise ScriptError("syntax", f"a popup with the title {title!r}, {told}: none of these programs")
-    return Popup(line, kind, text)
+    return syntax_tree.Popup(line, kind, text)
 
 
-def _output(first: int) -> Callable[[int, Line], Statement]:
-    return lambda line, words: Output(line, *flag_of(words, first))
+def _output(first: int) -> Callable[[int, Line], syntax_tree.Statement]:
+    return lambda line, words: syntax_tree.Output(line, *flag_of(words, first))
 
 
-def _await(name: str) -> Callable[[int, Line], Statement]:
-    def read(line: int, words: Line) -> Statement:
+def _await(name: str) -> Callable[[int, Line], syntax_tree.Statement]:
+    def read(line: int, words: Line) -> syntax_tree.Statement:
         value = words.flag()
         words.signs(",")
-        return Await(line, name, value, words.above(0.0, MOST_WAIT, "the longest wait"))
+        return syntax_tree.Await(line, name, value, words.above(0.0, MOST_WAIT, "the longest wait"))
 
     return read
 
 
-def _await_arc(line: int, words: Line, name: str) -> Statement:
-    return AwaitArc(line, name, words.above(0.0, MOST_SECONDS, "the longest wait"))
+def _await_arc(line: int, words: Line, name: str) -> syntax_tree.Statement:
+    return syntax_tree.AwaitArc(line, name, words.above(0.0, MOST_SECONDS, "the longest wait"))
 
 
-def _check(line: int, words: Line) -> Statement:
+def _check(line: int, words: Line) -> syntax_tree.Statement:
     value = words.flag()
     words.signs(",")
-    return Check(line, value, words.flag())
+    return syntax_tree.Check(line, value, words.flag())
 
 
-def _thread(line: int, row: str) -> Statement | None:
+def _thread(line: int, row: str) -> syntax_tree.Statement | None:
     """The statement that begins or ends a thread, None for another one."""
-    if found := re.fullmatch(rf"kill\s+({WATCHING}|{WATCHING_ARC}((?:_\d+)?))", row):
-        return Watch(line, False) if found[1] == WATCHING else GuardArc(line, WATCH_ARC + found[2], False)
-    if re.fullmatch(rf"{WATCHING}\s*=\s*run\s+{WATCH}\s*\(\s*\)", row):
-        return Watch(line, True)
-    if found := re.fullmatch(rf"{WATCHING_ARC}((?:_\d+)?)\s*=\s*run\s+{WATCH_ARC}((?:_\d+)?)\s*\(\s*\)", row):
+    if found := re.fullmatch(rf"kill\s+({syntax_tree.WATCHING}|{syntax_tree.WATCHING_ARC}((?:_\d+)?))", row):
+        return (
+            syntax_tree.Watch(line, False)
+            if found[1] == syntax_tree.WATCHING
+            else syntax_tree.GuardArc(line, syntax_tree.WATCH_ARC + found[2], False)
+        )
+    if re.fullmatch(rf"{syntax_tree.WATCHING}\s*=\s*run\s+{syntax_tree.WATCH}\s*\(\s*\)", row):
+        return syntax_tree.Watch(line, True)
+    if found := re.fullmatch(
+        rf"{syntax_tree.WATCHING_ARC}((?:_\d+)?)\s*=\s*run\s+{syntax_tree.WATCH_ARC}((?:_\d+)?)\s*\(\s*\)",
+        row,
+    ):
         if found[1] != found[2]:
-            raise ScriptError("syntax", f"{WATCH_ARC}{found[2]} is held by another one's variable")
-        return GuardArc(line, WATCH_ARC + found[2], True)
+            raise ScriptError(
+                "syntax", f"{syntax_tree.WATCH_ARC}{found[2]} is held by another one's variable"
+            )
+        return syntax_tree.GuardArc(line, syntax_tree.WATCH_ARC + found[2], True)
     return None
 
 
-_CALLS: Final[dict[str, Callable[[int, Line], Statement]]] = {
+_CALLS: Final[dict[str, Callable[[int, Line], syntax_tree.Statement]]] = {
     "movel": _movel,
     "movej": _movej,
-    "set_tcp": lambda line, words: SetTcp(line, words.take("name")),
+    "set_tcp": lambda line, words: syntax_tree.SetTcp(line, words.take("name")),
     "set_payload": _payload,
-    "sleep": lambda line, words: Pause(line, words.above(0.0, MOST_SECONDS, "a pause")),
+    "sleep": lambda line, words: syntax_tree.Pause(line, words.above(0.0, MOST_SECONDS, "a pause")),
     "popup": _popup,
-    CHECK: _check,
-    STAND: lambda line, words: Stand(line, words.above(0.0, MOST_SECONDS, "a move's time")),
-    **{word: _await(word) for word in (AWAIT_LINE, AWAIT_RUNNING)},
+    syntax_tree.CHECK: _check,
+    syntax_tree.STAND: lambda line, words: syntax_tree.Stand(
+        line, words.above(0.0, MOST_SECONDS, "a move's time")
+    ),
+    **{word: _await(word) for word in (syntax_tree.AWAIT_LINE, syntax_tree.AWAIT_RUNNING)},
     **{word: _output(first) for word, first in OUTPUT_WORDS.items()},
 }
 """Statements by the function that they call: its name and what reads its parameters."""
@@ -178,18 +154,18 @@ class Reader:
     def fault(self, line: int, kind: str, message: str) -> None:
         self.faults.append(Fault(line, 1, f"urscript.{kind}", message, self.file))
 
-    def program(self) -> Program | None:
+    def program(self) -> syntax_tree.Program | None:
         """The file's program, None where it has no head."""
-        name, data, body, closed = "", dict[str, Data](), list[Statement](), False
-        endings: dict[str, Ending | ArcFunction] = {}
+        name, data, body, closed = "", dict[str, syntax_tree.Data](), list[syntax_tree.Statement](), False
+        endings: dict[str, syntax_tree.Ending | syntax_tree.ArcFunction] = {}
         rows = iter(enumerate(self.rows, 1))
         for line, row in rows:
-            if len(row.rstrip()) > LINE_LENGTH:
-                self.fault(line, "line_length", f"{len(row)} characters; allowed: {LINE_LENGTH}")
+            if len(row.rstrip()) > syntax_tree.LINE_LENGTH:
+                self.fault(line, "line_length", f"{len(row)} characters; allowed: {syntax_tree.LINE_LENGTH}")
             code, comment = parted(row)
             try:
                 if (segment := _SEGMENT.fullmatch(comment)) and not code and name and not closed:
-                    body.append(Begins(line, segment[1]))
+                    body.append(syntax_tree.Begins(line, segment[1]))
                 if not code:
                     continue
                 if closed:
@@ -200,7 +176,7 @@ class Reader:
                 elif code == "end":
                     closed = True
                 elif words.next in (Word("name", "def"), Word("name", "thread")):
-                    if any(not isinstance(statement, Begins) for statement in body):
+                    if any(not isinstance(statement, syntax_tree.Begins) for statement in body):
                         raise ScriptError("syntax", "a function or thread stands behind the first statement")
                     word, ending = function(line, words, rows)
                     if word in endings:
@@ -225,28 +201,30 @@ class Reader:
             return None
         if not closed:
             self.fault(len(self.rows), "syntax", "the program has no end")
-        met = {word: one for word, one in endings.items() if isinstance(one, Ending)}
-        torches = {word: one for word, one in endings.items() if isinstance(one, ArcFunction)}
-        return Program(self.file, name, data, tuple(body), met, torches)
+        met = {word: one for word, one in endings.items() if isinstance(one, syntax_tree.Ending)}
+        torches = {word: one for word, one in endings.items() if isinstance(one, syntax_tree.ArcFunction)}
+        return syntax_tree.Program(self.file, name, data, tuple(body), met, torches)
 
-    def _datum(self, line: int, words: Line, data: dict[str, Data], body: list[Statement]) -> None:
+    def _datum(
+        self, line: int, words: Line, data: dict[str, syntax_tree.Data], body: list[syntax_tree.Statement]
+    ) -> None:
         name = words.take("name")
         words.signs("=")
         _named(name)
         if name in data:
             raise ScriptError("name_duplicate", f"{name} has a value in line {data[name].line} already")
-        if any(not isinstance(statement, Begins) for statement in body):
+        if any(not isinstance(statement, syntax_tree.Begins) for statement in body):
             raise ScriptError("syntax", f"{name} gets its value behind the first statement")
         if words.next.kind == "text":
-            found = Data(line, "text", words.text())
+            found = syntax_tree.Data(line, "text", words.text())
         elif words.next.text == "p":
-            found = Data(line, "pose", words.pose())
+            found = syntax_tree.Data(line, "pose", words.pose())
         else:
-            found = Data(line, "joints", words.numbers(6))
+            found = syntax_tree.Data(line, "joints", words.numbers(6))
         words.done()
         data[name] = found
 
-    def _branch(self, line: int, words: Line, rows: Rows) -> Look | StaysLow:
+    def _branch(self, line: int, words: Line, rows: Rows) -> syntax_tree.Look | syntax_tree.StaysLow:
         """The two branches there are: both show a text and end the program."""
         words.signs("if")
         if words.next.text in OUTPUTS_READ:
@@ -255,7 +233,7 @@ class Reader:
             words.done()
             off, text = switched_off(rows, blocking=True)
             must_be(rows, "end")
-            return StaysLow(line, number, off, text)
+            return syntax_tree.StaysLow(line, number, off, text)
         words.signs("point_dist", "(", "get_forward_kin", "(")
         name = words.take("name")
         words.signs(",")
@@ -268,7 +246,7 @@ class Reader:
         words.done()
         text = ended(rows, blocking=True)
         must_be(rows, "end")
-        return Look(line, name, tip, place, most, text)
+        return syntax_tree.Look(line, name, tip, place, most, text)
 
 
 def _head(words: Line) -> str:
@@ -281,13 +259,19 @@ def _head(words: Line) -> str:
 
 
 def _named(name: str) -> None:
-    if len(name) > NAME_LENGTH:
-        raise ScriptError("name_length", f"{name} has {len(name)} characters; allowed: {NAME_LENGTH}")
-    if name in RESERVED or re.fullmatch(ARC_FUNCTION, name) or re.fullmatch(ARC_VARIABLE, name):
+    if len(name) > syntax_tree.NAME_LENGTH:
+        raise ScriptError(
+            "name_length", f"{name} has {len(name)} characters; allowed: {syntax_tree.NAME_LENGTH}"
+        )
+    if (
+        name in syntax_tree.RESERVED
+        or re.fullmatch(syntax_tree.ARC_FUNCTION, name)
+        or re.fullmatch(syntax_tree.ARC_VARIABLE, name)
+    ):
         raise ScriptError("name_reserved", f"{name} is a word of URScript; take another name")
 
 
-def _call(line: int, words: Line) -> Statement:
+def _call(line: int, words: Line) -> syntax_tree.Statement:
     word = words.take("name", what="a statement")
     read = _CALLS.get(word)
     if awaits_arc(word):

@@ -12,17 +12,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from planner.languages.urscript import sentences as urscript_sentences
-from planner.languages.urscript.reader.syntax_tree import (
-    ArcFunction,
-    AwaitArc,
-    GuardArc,
-    Output,
-    Pause,
-    Program,
-    Statement,
-    StaysLow,
-    Straight,
-)
+from planner.languages.urscript.reader import syntax_tree
 
 
 class _State(enum.Enum):
@@ -39,8 +29,8 @@ class Torches:
 
     def __init__(
         self,
-        program: Program,
-        fail: Callable[[Statement, str], NoReturn],
+        program: syntax_tree.Program,
+        fail: Callable[[syntax_tree.Statement, str], NoReturn],
         output: Callable[[int], str],
         given: Callable[[int], str],
     ) -> None:
@@ -55,7 +45,7 @@ class Torches:
 
     def begin(self) -> None:
         """Functions and threads take all power back, and say why they end the program."""
-        switched = {s.number for s in self.program.body if isinstance(s, Output) and s.value}
+        switched = {s.number for s in self.program.body if isinstance(s, syntax_tree.Output) and s.value}
         for name, one in self.program.torches.items():
             if left := sorted(map(self.output, switched - set(one.off))):
                 self.fail(one, f"{name} leaves {', '.join(left)} on")
@@ -68,25 +58,25 @@ class Torches:
             if one.text != wanted:
                 self.fail(one, f"{name} shows {one.text!r}; wanted: {wanted!r}")
 
-    def take(self, statement: Statement) -> None:
+    def take(self, statement: syntax_tree.Statement) -> None:
         """One statement, in its order."""
-        if isinstance(statement, StaysLow) and self.watches(statement.number):
+        if isinstance(statement, syntax_tree.StaysLow) and self.watches(statement.number):
             self._look(statement)
-        elif isinstance(statement, AwaitArc):
+        elif isinstance(statement, syntax_tree.AwaitArc):
             self._await(statement)
-        elif isinstance(statement, GuardArc):
+        elif isinstance(statement, syntax_tree.GuardArc):
             self._guard(statement)
-        elif isinstance(statement, Output) and self.watches(statement.number):
+        elif isinstance(statement, syntax_tree.Output) and self.watches(statement.number):
             self._switch(statement)
         elif self.state in (_State.LIT, _State.BURNS):
-            if not isinstance(statement, Pause):
+            if not isinstance(statement, syntax_tree.Pause):
                 self.fail(statement, f"{self._lit} is on, and no thread watches it yet")
         elif self.state is _State.LEFT:
             self.fail(statement, f"{self._lit} is on, and no thread watches it any more")
-        elif self.state is _State.GUARDED and not isinstance(statement, Straight):
+        elif self.state is _State.GUARDED and not isinstance(statement, syntax_tree.Straight):
             self.fail(statement, f"something else than movel while {self._lit} is on")
 
-    def end(self, last: Statement) -> None:
+    def end(self, last: syntax_tree.Statement) -> None:
         """Behind the last statement."""
         if self.state is not _State.OFF:
             self.fail(last, f"the program ends while {self._lit} is on")
@@ -95,13 +85,13 @@ class Torches:
     def _lit(self) -> str:
         return self.output(self.number)
 
-    def _function(self, statement: AwaitArc | GuardArc) -> ArcFunction:
+    def _function(self, statement: syntax_tree.AwaitArc | syntax_tree.GuardArc) -> syntax_tree.ArcFunction:
         found = self.program.torches.get(statement.name)
         if found is None:
             self.fail(statement, f"there is no {statement.name}")
         return found
 
-    def _look(self, look: StaysLow) -> None:
+    def _look(self, look: syntax_tree.StaysLow) -> None:
         wanted = urscript_sentences.STAYS_ON.filled(signal=self.output(look.number))
         if look.text != wanted:
             self.fail(look, f"the look at a torch shows {look.text!r}; wanted: {wanted!r}")
@@ -112,7 +102,7 @@ class Torches:
             self.fail(look, f"the program looks again whether {self.output(look.number)} stays on")
         self.looked.add(look.number)
 
-    def _await(self, wait: AwaitArc) -> None:
+    def _await(self, wait: syntax_tree.AwaitArc) -> None:
         function = self._function(wait)
         if self.state is not _State.LIT:
             self.fail(wait, "a wait for an arc elsewhere than right behind its output's rise")
@@ -123,7 +113,7 @@ class Torches:
             self.fail(wait, f"{wait.name} shows {function.text!r}; wanted: {wanted!r}")
         self.state = _State.BURNS
 
-    def _guard(self, guard: GuardArc) -> None:
+    def _guard(self, guard: syntax_tree.GuardArc) -> None:
         thread = self._function(guard)
         if not guard.on:
             if self.state is not _State.GUARDED or thread.own != self.number:
@@ -136,7 +126,7 @@ class Torches:
             self.fail(guard, f"the program waits for another torch than {guard.name} watches")
         self.state = _State.GUARDED
 
-    def _switch(self, statement: Output) -> None:
+    def _switch(self, statement: syntax_tree.Output) -> None:
         if statement.value:
             if self.state is not _State.OFF:
                 self.fail(statement, f"{self.output(statement.number)} goes on while {self._lit} is on")
