@@ -9,17 +9,18 @@ from typing import Final
 
 from planner.languages.urscript.reader import syntax_tree
 from planner.languages.urscript.reader.words import (
-    INPUTS,
     OUTPUT_WORDS,
-    OUTPUTS_READ,
     Line,
     Rows,
     ScriptError,
-    flag_of,
+    above_zero,
+    input_read,
     must_be,
     next_code,
-    numbered,
-    shown,
+    next_line,
+    output_read,
+    popup,
+    switched,
 )
 
 WAIT_STEP: Final = "0.01"
@@ -28,6 +29,8 @@ SETTLED: Final = "0.1"
 """Time [s] for which the thread that watches a torch waits before it reads its output back, as written."""
 LOST: Final = "0.2"
 """Time [s] for which its input may be low, as written."""
+_WAITED: Final = (f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "end", "end")
+"""Lines with which the loop of a wait goes on, and its function ends."""
 MOST_FAR: Final = 0.01
 """How far [m] a torch has to get so that it does not stand, at most what is read."""
 MOST_STOOD: Final = 600.0
@@ -37,8 +40,7 @@ MOST_STOOD: Final = 600.0
 def function(line: int, words: Line, rows: Rows) -> tuple[str, syntax_tree.Ending | syntax_tree.ArcFunction]:
     """The name of a function or thread whose head has these ``words``, and what it does."""
     thread = words.next.text == "thread"
-    words.signs("thread" if thread else "def")
-    word = words.take("name")
+    (word,) = words.values("thread" if thread else "def", Line.name)
     if (found := re.fullmatch(syntax_tree.ARC_FUNCTION, word)) and thread == (
         found[1] == syntax_tree.WATCH_ARC
     ):
@@ -48,48 +50,45 @@ def function(line: int, words: Line, rows: Rows) -> tuple[str, syntax_tree.Endin
             raise ScriptError("syntax", f"{word}: no thread of these programs")
         return word, _watch(line, words, rows)
     if word == syntax_tree.STAND:
-        words.signs("(", "seconds", ")", ":")
-        words.done()
+        words.rest("(seconds):")
         must_be(rows, "sleep(seconds)", "end")
-        return syntax_tree.STAND, syntax_tree.Ending(line, (), -1, (), "")
-    if word not in (syntax_tree.AWAIT_LINE, syntax_tree.AWAIT_RUNNING, syntax_tree.CHECK):
-        raise ScriptError("syntax", f"{word}: no function of these programs")
-    return word, _of_partner(line, word, words, rows)
-
-
-def _of_partner(line: int, word: str, words: Line, rows: Rows) -> syntax_tree.Ending:
-    """A function that waits for the other program, or looks at it."""
-    words.signs("(", "level", ",", "own" if word == syntax_tree.CHECK else "limit", ")", ":")
-    words.done()
+        return word, syntax_tree.Ending(line, (), -1, (), "")
     if word == syntax_tree.CHECK:
-        numbers, own = _condition(rows, "if", "==", "False", "or", "!=", "own")
-        off, text = switched_off(rows, blocking=True)
-        must_be(rows, "end", "end")
-        return syntax_tree.Ending(line, numbers, own, off, text)
-    must_be(rows, "local passed=0.0")
-    numbers, own = _condition(rows, "while", "==", "False")
-    again = Line(next_code(rows))
-    again.signs("if", "passed", ">", "limit", "or")
-    if numbered(again, OUTPUTS_READ) != own:
-        raise ScriptError("syntax", f"{word} looks at two outputs; it has one to look at")
-    again.signs("==", "False", ":")
-    again.done()
+        return word, _check(line, words, rows)
+    if word not in (syntax_tree.AWAIT_LINE, syntax_tree.AWAIT_RUNNING):
+        raise ScriptError("syntax", f"{word}: no function of these programs")
+    return word, _await(line, word, words, rows)
+
+
+def _check(line: int, words: Line, rows: Rows) -> syntax_tree.Ending:
+    """The function that looks at the other program."""
+    words.rest("(level,own):")
+    *numbers, own = next_line(rows).rest(
+        "if", input_read, "!=level or", input_read, "==False or", output_read, "!=own:"
+    )
     off, text = switched_off(rows, blocking=True)
-    must_be(rows, "end", f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "end", "end")
-    return syntax_tree.Ending(line, numbers, own, off, text)
+    must_be(rows, "end", "end")
+    return syntax_tree.Ending(line, tuple(numbers), own, off, text)
+
+
+def _await(line: int, word: str, words: Line, rows: Rows) -> syntax_tree.Ending:
+    """A function that waits for the other program."""
+    words.rest("(level,limit):")
+    must_be(rows, "local passed=0.0")
+    number, own = next_line(rows).rest("while", input_read, "!=level or", output_read, "==False:")
+    again = next_line(rows)
+    if again.values("if passed>limit or", output_read) != [own]:
+        raise ScriptError("syntax", f"{word} looks at two outputs; it has one to look at")
+    again.rest("==False:")
+    off, text = switched_off(rows, blocking=True)
+    must_be(rows, "end", *_WAITED)
+    return syntax_tree.Ending(line, (number,), own, off, text)
 
 
 def _watch(line: int, words: Line, rows: Rows) -> syntax_tree.Ending:
     """The thread that watches the other program."""
-    words.signs("(", ")", ":")
-    words.done()
-    head = Line(next_code(rows))
-    head.signs("while")
-    number = numbered(head, INPUTS)
-    head.signs("and")
-    own = numbered(head, OUTPUTS_READ)
-    head.signs(":")
-    head.done()
+    words.rest("():")
+    number, own = next_line(rows).rest("while", input_read, "and", output_read, ":")
     must_be(rows, "sync()", "end")
     off, text = switched_off(rows, blocking=False)
     must_be(rows, "end")
@@ -98,25 +97,19 @@ def _watch(line: int, words: Line, rows: Rows) -> syntax_tree.Ending:
 
 def _await_arc(line: int, words: Line, rows: Rows) -> syntax_tree.ArcFunction:
     """The function that waits for a torch to burn."""
-    words.signs("(", "limit", ")", ":")
-    words.done()
+    words.rest("(limit):")
     must_be(rows, "local passed=0.0")
-    head = Line(next_code(rows))
-    head.signs("while")
-    given = numbered(head, INPUTS)
-    head.signs("==", "False", ":")
-    head.done()
+    (given,) = next_line(rows).rest("while", input_read, "==False:")
     must_be(rows, "if passed>limit:")
     off, text = switched_off(rows, blocking=True)
-    must_be(rows, "end", f"sleep({WAIT_STEP})", f"passed=passed+{WAIT_STEP}", "end", "end")
+    must_be(rows, "end", *_WAITED)
     return syntax_tree.ArcFunction(line, given, None, off, text)
 
 
 def _watch_arc(line: int, words: Line, rows: Rows) -> syntax_tree.ArcFunction:
     """The thread that watches a torch which burns: its output, its input if it has one, and whether it
     stands."""
-    words.signs("(", ")", ":")
-    words.done()
+    words.rest("():")
     code = next_code(rows)
     lost = Line(code).words == Line("local arc_lost=0.0").words
     if lost:
@@ -124,34 +117,18 @@ def _watch_arc(line: int, words: Line, rows: Rows) -> syntax_tree.ArcFunction:
     if Line(code).words != Line("local arc_stood=0.0").words:
         raise ScriptError("syntax", f"{code!r}: local arc_stood=0.0 must stand here")
     must_be(rows, "local arc_place=get_actual_tcp_pose()", f"sleep({SETTLED})")
-    head = Line(next_code(rows))
-    head.signs("while")
-    own = numbered(head, OUTPUTS_READ)
-    head.signs("and")
-    if lost:
-        head.signs("arc_lost", "<=")
-        head.exactly(LOST)
-        head.signs("and")
-    head.signs("arc_stood", "<=")
-    stood = head.above(0.0, MOST_STOOD, "the longest stand")
-    head.signs(":")
-    head.done()
+    burning = f"and arc_lost<={LOST}" if lost else ""
+    longest = above_zero(MOST_STOOD, "the longest stand")
+    own, stood = next_line(rows).rest("while", output_read, burning, "and arc_stood<=", longest, ":")
     must_be(rows, f"sleep({WAIT_STEP})")
     given: int | None = None
     if lost:
         must_be(rows, f"arc_lost=arc_lost+{WAIT_STEP}")
-        burns = Line(next_code(rows))
-        burns.signs("if")
-        given = numbered(burns, INPUTS)
-        burns.signs(":")
-        burns.done()
+        (given,) = next_line(rows).rest("if", input_read, ":")
         must_be(rows, "arc_lost=0.0", "end")
     must_be(rows, f"arc_stood=arc_stood+{WAIT_STEP}")
-    gone = Line(next_code(rows))
-    gone.signs("if", "point_dist", "(", "get_actual_tcp_pose", "(", ")", ",", "arc_place", ")", ">")
-    far = gone.above(0.0, MOST_FAR, "how far it has to get")
-    gone.signs(":")
-    gone.done()
+    gone = "if point_dist(get_actual_tcp_pose(),arc_place)>"
+    (far,) = next_line(rows).rest(gone, above_zero(MOST_FAR, "how far it has to get"), ":")
     must_be(rows, "arc_place=get_actual_tcp_pose()", "arc_stood=0.0", "end", "end")
     off, text = switched_off(rows, blocking=False)
     must_be(rows, "end")
@@ -164,50 +141,25 @@ def awaits_arc(word: str) -> bool:
     return found is not None and found[1] == syntax_tree.AWAIT_ARC
 
 
-def _condition(rows: Rows, word: str, *behind: str) -> tuple[tuple[int, ...], int]:
-    """Inputs and the output of the head of a loop or branch: that an input is not the level asked for, with
-    two of them that the second one is 0, or that an output is as ``behind`` says."""
-    words = Line(next_code(rows))
-    words.signs(word)
-    numbers = [numbered(words, INPUTS)]
-    words.signs("!=", "level", "or")
-    if "or" in behind:
-        numbers.append(numbered(words, INPUTS))
-        words.signs(*behind[: behind.index("or") + 1])
-        behind = behind[behind.index("or") + 1 :]
-    own = numbered(words, OUTPUTS_READ)
-    words.signs(*behind, ":")
-    words.done()
-    return tuple(numbers), own
-
-
 def switched_off(rows: Rows, blocking: bool) -> tuple[tuple[int, ...], str]:
     """Outputs that are switched off, and the text that is shown before the program ends."""
     off: list[int] = []
     while True:
-        words = Line(next_code(rows))
+        words = next_line(rows)
         word = words.next.text
         if word not in OUTPUT_WORDS:
-            return tuple(off), ended(rows, blocking, words)
-        words.take("name")
-        words.signs("(")
-        number, value = flag_of(words, OUTPUT_WORDS[word])
-        words.signs(")")
-        words.done()
+            return tuple(off), ended(words, rows, blocking)
+        number, value = words.rest(f"{word}(", *switched(OUTPUT_WORDS[word]), ")")
         if value:
             raise ScriptError("syntax", "outputs go off where the program ends")
         off.append(number)
 
 
-def ended(rows: Rows, blocking: bool, words: Line | None = None) -> str:
+def ended(words: Line, rows: Rows, blocking: bool) -> str:
     """The text of a popup, behind which the program ends."""
-    inner = Line(next_code(rows)) if words is None else words
-    inner.signs("popup", "(")
-    text, title, holds = shown(inner, error=True)
-    inner.signs(")")
-    inner.done()
+    text, title, holds = words.rest("popup(", *popup(error=True), ")")
     if holds != blocking or title != "Tandem":
         how = "hold the program" if blocking else "not hold the program"
         raise ScriptError("syntax", f"the popup before halt has to {how}")
     must_be(rows, "halt")
-    return text
+    return str(text)

@@ -6,6 +6,7 @@ with # and say nothing, but for the head of a segment.
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Callable
 from typing import Final, Literal
@@ -16,15 +17,18 @@ from planner.languages.urscript.reader.words import (
     OUTPUT_WORDS,
     OUTPUTS_READ,
     Line,
+    Part,
     Rows,
     ScriptError,
     Word,
-    flag_of,
+    above_zero,
     must_be,
-    numbered,
+    next_line,
+    output_read,
     parted,
-    shown,
+    popup,
     shown_code,
+    switched,
 )
 from planner.programs.steps import Fault
 
@@ -36,44 +40,26 @@ _TITLES: Final[dict[tuple[str, bool], Literal["question", "read", "note"]]] = {
     ("Tandem", False): "note",
 }
 """What a popup is by its title, and whether it holds the program."""
+_KILL: Final = re.compile(rf"kill\s+({syntax_tree.WATCHING}|{syntax_tree.WATCHING_ARC}((?:_\d+)?))")
+_RUN_WATCH: Final = re.compile(rf"{syntax_tree.WATCHING}\s*=\s*run\s+{syntax_tree.WATCH}\s*\(\s*\)")
+_RUN_ARC: Final = re.compile(
+    rf"{syntax_tree.WATCHING_ARC}((?:_\d+)?)\s*=\s*run\s+{syntax_tree.WATCH_ARC}((?:_\d+)?)\s*\(\s*\)"
+)
+"""Statements that end and begin threads."""
 MOST_SECONDS: Final = 3600.0
 """Longest move or pause that is read [s]."""
 MOST_WAIT: Final = 1e6
 """Longest wait for the other program that is read [s]."""
 
 
-def _movel(line: int, words: Line) -> syntax_tree.Statement:
-    words.signs("pose_trans", "(")
-    frame = words.take("name")
-    words.signs(",")
-    place = words.pose()
-    words.signs(")")
-    words.keyed("t")
-    seconds = words.above(0.0, MOST_SECONDS, "t")
-    words.keyed("r")
+def _radius(words: Line) -> float:
     radius = words.number()
     if not 0.0 <= radius <= 1.0:
         raise ScriptError("type", f"r is {radius:g}; allowed: 0 to 1 (m)")
-    return syntax_tree.Straight(line, frame, place, seconds, radius)
+    return radius
 
 
-def _movej(line: int, words: Line) -> syntax_tree.Statement:
-    name = words.take("name")
-    words.keyed("a")
-    acceleration = words.above(0.0, 100.0, "a")
-    words.keyed("v")
-    return syntax_tree.Joint(line, name, acceleration, words.above(0.0, 10.0, "v"))
-
-
-def _payload(line: int, words: Line) -> syntax_tree.Statement:
-    mass = words.above(0.0, 1000.0, "the mass")
-    words.signs(",")
-    x, y, z = words.numbers(3)
-    return syntax_tree.SetPayload(line, mass, (x, y, z))
-
-
-def _popup(line: int, words: Line) -> syntax_tree.Statement:
-    text, title, blocking = shown(words, error=False)
+def _popup(line: int, text: str, title: str, blocking: bool) -> syntax_tree.Statement:
     kind = _TITLES.get((title, blocking))
     if kind is None:
         told = "blocking" if blocking else "not blocking"
@@ -81,66 +67,47 @@ def _popup(line: int, words: Line) -> syntax_tree.Statement:
     return syntax_tree.Popup(line, kind, text)
 
 
-def _output(first: int) -> Callable[[int, Line], syntax_tree.Statement]:
-    return lambda line, words: syntax_tree.Output(line, *flag_of(words, first))
-
-
-def _await(name: str) -> Callable[[int, Line], syntax_tree.Statement]:
-    def read(line: int, words: Line) -> syntax_tree.Statement:
-        value = words.flag()
-        words.signs(",")
-        return syntax_tree.Await(line, name, value, words.above(0.0, MOST_WAIT, "the longest wait"))
-
-    return read
-
-
-def _await_arc(line: int, words: Line, name: str) -> syntax_tree.Statement:
-    return syntax_tree.AwaitArc(line, name, words.above(0.0, MOST_SECONDS, "the longest wait"))
-
-
-def _check(line: int, words: Line) -> syntax_tree.Statement:
-    value = words.flag()
-    words.signs(",")
-    return syntax_tree.Check(line, value, words.flag())
-
-
 def _thread(line: int, row: str) -> syntax_tree.Statement | None:
     """The statement that begins or ends a thread, None for another one."""
-    if found := re.fullmatch(rf"kill\s+({syntax_tree.WATCHING}|{syntax_tree.WATCHING_ARC}((?:_\d+)?))", row):
-        return (
-            syntax_tree.Watch(line, False)
-            if found[1] == syntax_tree.WATCHING
-            else syntax_tree.GuardArc(line, syntax_tree.WATCH_ARC + found[2], False)
-        )
-    if re.fullmatch(rf"{syntax_tree.WATCHING}\s*=\s*run\s+{syntax_tree.WATCH}\s*\(\s*\)", row):
+    if found := _KILL.fullmatch(row):
+        if found[1] == syntax_tree.WATCHING:
+            return syntax_tree.Watch(line, False)
+        return syntax_tree.GuardArc(line, syntax_tree.WATCH_ARC + found[2], False)
+    if _RUN_WATCH.fullmatch(row):
         return syntax_tree.Watch(line, True)
-    if found := re.fullmatch(
-        rf"{syntax_tree.WATCHING_ARC}((?:_\d+)?)\s*=\s*run\s+{syntax_tree.WATCH_ARC}((?:_\d+)?)\s*\(\s*\)",
-        row,
-    ):
+    if found := _RUN_ARC.fullmatch(row):
+        thread = syntax_tree.WATCH_ARC + found[2]
         if found[1] != found[2]:
-            raise ScriptError(
-                "syntax", f"{syntax_tree.WATCH_ARC}{found[2]} is held by another one's variable"
-            )
-        return syntax_tree.GuardArc(line, syntax_tree.WATCH_ARC + found[2], True)
+            raise ScriptError("syntax", f"{thread} is held by another one's variable")
+        return syntax_tree.GuardArc(line, thread, True)
     return None
 
 
-_CALLS: Final[dict[str, Callable[[int, Line], syntax_tree.Statement]]] = {
-    "movel": _movel,
-    "movej": _movej,
-    "set_tcp": lambda line, words: syntax_tree.SetTcp(line, words.take("name")),
-    "set_payload": _payload,
-    "sleep": lambda line, words: syntax_tree.Pause(line, words.above(0.0, MOST_SECONDS, "a pause")),
-    "popup": _popup,
-    syntax_tree.CHECK: _check,
-    syntax_tree.STAND: lambda line, words: syntax_tree.Stand(
-        line, words.above(0.0, MOST_SECONDS, "a move's time")
+_CALLS: Final[dict[str, tuple[Callable[..., syntax_tree.Statement], tuple[Part, ...]]]] = {
+    "movel": (
+        syntax_tree.Straight,
+        ("pose_trans(", Line.name, ",", Line.pose, "),t=", above_zero(MOST_SECONDS, "t"), ",r=", _radius),
     ),
-    **{word: _await(word) for word in (syntax_tree.AWAIT_LINE, syntax_tree.AWAIT_RUNNING)},
-    **{word: _output(first) for word, first in OUTPUT_WORDS.items()},
+    "movej": (syntax_tree.Joint, (Line.name, ",a=", above_zero(100.0, "a"), ",v=", above_zero(10.0, "v"))),
+    "set_tcp": (syntax_tree.SetTcp, (Line.name,)),
+    "set_payload": (
+        syntax_tree.SetPayload,
+        (above_zero(1000.0, "the mass"), ",", lambda words: words.numbers(3)),
+    ),
+    "sleep": (syntax_tree.Pause, (above_zero(MOST_SECONDS, "a pause"),)),
+    "popup": (_popup, popup(error=False)),
+    syntax_tree.CHECK: (syntax_tree.Check, (Line.flag, ",", Line.flag)),
+    syntax_tree.STAND: (syntax_tree.Stand, (above_zero(MOST_SECONDS, "a move's time"),)),
+    **{
+        word: (
+            functools.partial(syntax_tree.Await, name=word),
+            (Line.flag, ",", above_zero(MOST_WAIT, "the longest wait")),
+        )
+        for word in (syntax_tree.AWAIT_LINE, syntax_tree.AWAIT_RUNNING)
+    },
+    **{word: (syntax_tree.Output, switched(first)) for word, first in OUTPUT_WORDS.items()},
 }
-"""Statements by the function that they call: its name and what reads its parameters."""
+"""Statements by the function that they call: what they become, and the form of the parameters."""
 
 
 class Reader:
@@ -188,7 +155,7 @@ class Reader:
                     body.append(watch)
                 elif code.startswith("if"):
                     body.append(self._branch(line, words, rows))
-                elif words.words[1:2] == [Word("sign", "=")]:
+                elif words.words[1:2] == (Word("sign", "="),):
                     self._datum(line, words, data, body)
                 else:
                     body.append(_call(line, words))
@@ -208,8 +175,7 @@ class Reader:
     def _datum(
         self, line: int, words: Line, data: dict[str, syntax_tree.Data], body: list[syntax_tree.Statement]
     ) -> None:
-        name = words.take("name")
-        words.signs("=")
+        (name,) = words.values(Line.name, "=")
         _named(name)
         if name in data:
             raise ScriptError("name_duplicate", f"{name} has a value in line {data[name].line} already")
@@ -221,41 +187,28 @@ class Reader:
             found = syntax_tree.Data(line, "pose", words.pose())
         else:
             found = syntax_tree.Data(line, "joints", words.numbers(6))
-        words.done()
+        words.rest()
         data[name] = found
 
     def _branch(self, line: int, words: Line, rows: Rows) -> syntax_tree.Look | syntax_tree.StaysLow:
         """The two branches there are: both show a text and end the program."""
-        words.signs("if")
+        words.values("if")
         if words.next.text in OUTPUTS_READ:
-            number = numbered(words, OUTPUTS_READ)
-            words.signs(":")
-            words.done()
+            (number,) = words.rest(output_read, ":")
             off, text = switched_off(rows, blocking=True)
             must_be(rows, "end")
             return syntax_tree.StaysLow(line, number, off, text)
-        words.signs("point_dist", "(", "get_forward_kin", "(")
-        name = words.take("name")
-        words.signs(",")
-        tip = words.pose()
-        words.signs(")", ",")
-        place = words.pose()
-        words.signs(")", ">")
-        most = words.above(0.0, 1.0, "the distance")
-        words.signs(":")
-        words.done()
-        text = ended(rows, blocking=True)
+        place: tuple[Part, ...] = ("point_dist(get_forward_kin(", Line.name, ",", Line.pose, "),", Line.pose)
+        values = words.rest(*place, ")>", above_zero(1.0, "the distance"), ":")
+        text = ended(next_line(rows), rows, blocking=True)
         must_be(rows, "end")
-        return syntax_tree.Look(line, name, tip, place, most, text)
+        return syntax_tree.Look(line, *values, text)
 
 
 def _head(words: Line) -> str:
-    words.signs("def")
-    name = words.take("name")
-    words.signs("(", ")", ":")
-    words.done()
+    (name,) = words.rest("def", Line.name, "():")
     _named(name)
-    return name
+    return str(name)
 
 
 def _named(name: str) -> None:
@@ -273,17 +226,13 @@ def _named(name: str) -> None:
 
 def _call(line: int, words: Line) -> syntax_tree.Statement:
     word = words.take("name", what="a statement")
-    read = _CALLS.get(word)
     if awaits_arc(word):
-        words.signs("(")
-        out = _await_arc(line, words, word)
-        words.signs(")")
-        words.done()
-        return out
-    if read is None:
+        make = functools.partial(syntax_tree.AwaitArc, name=word)
+        parts: tuple[Part, ...] = (above_zero(MOST_SECONDS, "the longest wait"),)
+    elif word in _CALLS:
+        make, parts = _CALLS[word]
+    else:
         raise ScriptError("syntax", f"{word}: no statement of these programs")
-    words.signs("(")
-    out = read(line, words)
-    words.signs(")")
-    words.done()
+    out = make(line, *words.values("(", *parts))
+    words.rest(")")
     return out

@@ -101,9 +101,9 @@ class StaysLow(Statement):
 class Await(Statement):
     """A call of the function `name`, which waits until its input has the level `value`, `seconds` at most."""
 
-    name: str
     value: bool
     seconds: float
+    name: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,8 +144,8 @@ class Ending(Statement):
 class AwaitArc(Statement):
     """A call of the function `name`, which waits until a torch burns, `seconds` at most."""
 
-    name: str
     seconds: float
+    name: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,11 @@ and of functions have in common. Numbers are plain or with an exponent, smaller 
 
 from __future__ import annotations
 
+import functools
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from planner.languages.urscript.reader.syntax_tree import TEXT_LENGTH, Six
 from planner.programs.steps import LARGEST_NUMBER
@@ -20,8 +21,6 @@ _WORD: Final = re.compile(
 """A word of a line: a number, a name, a text, or a sign."""
 OUTPUT_WORDS: Final = {"set_standard_digital_out": 0, "set_configurable_digital_out": 8}
 """Functions that switch digital outputs, and the number of their first one here."""
-INPUTS: Final = {"get_standard_digital_in": 0, "get_configurable_digital_in": 8}
-"""Those that read inputs."""
 OUTPUTS_READ: Final = {"get_standard_digital_out": 0, "get_configurable_digital_out": 8}
 """Those that read outputs."""
 OUTPUTS_EACH: Final = 8
@@ -44,21 +43,39 @@ class Word:
     text: str
 
 
+def _words(code: str) -> tuple[Word, ...]:
+    """The words of a line."""
+    out: list[Word] = []
+    place = 0
+    code = code.rstrip()
+    while place < len(code):
+        found = _WORD.match(code, place)
+        if found is None or found.lastgroup is None:
+            raise ScriptError("syntax", f"{code[place : place + 20].strip()!r}: no word of these programs")
+        out.append(Word(found.lastgroup, found[found.lastgroup]))
+        place = found.end()
+    return tuple(out)
+
+
+@functools.cache
+def _fixed(code: str) -> tuple[tuple[Word, str], ...]:
+    """Words that have to stand as they are, and what faults call them: "" for themselves in quotes."""
+    out: list[tuple[Word, str]] = []
+    words = _words(code)
+    for word, behind in zip(words, [*words[1:], None], strict=True):
+        what = word.text if word.kind == "number" else ""
+        if word.kind == "name" and behind == Word("sign", "="):
+            what = f"the parameter {word.text}="
+        out.append((word, what))
+    return tuple(out)
+
+
 class Line:
     """The words of a line, taken one by one."""
 
     def __init__(self, code: str) -> None:
-        self.words: list[Word] = []
-        self.at, place = 0, 0
-        code = code.rstrip()
-        while place < len(code):
-            found = _WORD.match(code, place)
-            if found is None or found.lastgroup is None:
-                raise ScriptError(
-                    "syntax", f"{code[place : place + 20].strip()!r}: no word of these programs"
-                )
-            self.words.append(Word(found.lastgroup, found[found.lastgroup]))
-            place = found.end()
+        self.words = _words(code)
+        self.at = 0
 
     @property
     def next(self) -> Word:
@@ -75,9 +92,26 @@ class Line:
         self.at += 1
         return word.text
 
-    def signs(self, *texts: str) -> None:
-        for text in texts:
-            self.take("name" if text[0].isalpha() else "sign", text)
+    def values(self, *parts: Part) -> list[Any]:
+        """The values of what stands next, which has to be of this form."""
+        out = []
+        for part in parts:
+            if isinstance(part, str):
+                for word, what in _fixed(part):
+                    self.take(word.kind, word.text, what)
+            else:
+                out.append(part(self))
+        return out
+
+    def rest(self, *parts: Part) -> list[Any]:
+        """The values of all that is left of the line, which has to be of this form."""
+        out = self.values(*parts)
+        if self.next.kind != "end":
+            self.fail("nothing more")
+        return out
+
+    def name(self) -> str:
+        return self.take("name")
 
     def number(self) -> float:
         text = self.take("number")
@@ -85,19 +119,6 @@ class Line:
         if not abs(value) < LARGEST_NUMBER:
             raise ScriptError("number", f"{text:.40} is no number that a controller holds")
         return value or 0.0
-
-    def exactly(self, text: str) -> None:
-        """The next number, which has to be written so."""
-        if self.next.text != text:
-            self.fail(text)
-        self.take("number")
-
-    def above(self, least: float, most: float, what: str) -> float:
-        """A number of a range, its lower end left out."""
-        value = self.number()
-        if not least < value <= most:
-            raise ScriptError("type", f"{what} is {value:g}; allowed: above {least:g}, to {most:g}")
-        return value
 
     def flag(self) -> bool:
         word = self.take("name", what="True or False")
@@ -128,25 +149,26 @@ class Line:
         x, y, z, rx, ry, rz = self.numbers(6)
         return x, y, z, rx, ry, rz
 
-    def keyed(self, key: str) -> None:
-        """A comma, the name of a parameter, and its sign."""
-        self.take("sign", ",")
-        self.take("name", key, f"the parameter {key}=")
-        self.take("sign", "=")
 
-    def done(self) -> None:
-        if self.next.kind != "end":
-            self.fail("nothing more")
+Part = str | Callable[[Line], Any]
+"""A part of a line: words as they are, or what reads a value."""
 
 
-def shown(words: Line, error: bool) -> tuple[str, str, bool]:
+def above_zero(most: float, what: str) -> Callable[[Line], float]:
+    """Reads a number above 0, to ``most``."""
+
+    def read(words: Line) -> float:
+        value = words.number()
+        if not 0.0 < value <= most:
+            raise ScriptError("type", f"{what} is {value:g}; allowed: above 0, to {most:g}")
+        return value
+
+    return read
+
+
+def popup(error: bool) -> tuple[Part, ...]:
     """Text, title, and whether it holds the program, of a popup."""
-    text = words.text()
-    words.signs(",")
-    title = words.text()
-    words.signs(",", "False", ",", "True" if error else "False")
-    words.keyed("blocking")
-    return text, title, words.flag()
+    return (Line.text, ",", Line.text, f",False,{error},blocking=", Line.flag)
 
 
 Rows = Iterator[tuple[int, str]]
@@ -158,6 +180,11 @@ def next_code(rows: Rows) -> str:
     return next((code for _, row in rows if (code := parted(row)[0])), "")
 
 
+def next_line(rows: Rows) -> Line:
+    """The words of the next row that has any."""
+    return Line(next_code(rows))
+
+
 def must_be(rows: Rows, *wanted: str) -> None:
     """The next lines, which have to be these very ones but for spaces."""
     for one in wanted:
@@ -166,26 +193,35 @@ def must_be(rows: Rows, *wanted: str) -> None:
             raise ScriptError("syntax", f"{shown_code(code)}: {one} must stand here")
 
 
-def numbered(words: Line, known: Mapping[str, int]) -> int:
-    """The number of an input or output that one of these functions names."""
-    word = words.take("name", what=" or ".join(known))
-    if word not in known:
-        raise ScriptError("syntax", f"{word}: {' or '.join(known)} must stand here")
-    words.signs("(")
+def _number_of(words: Line, what: str) -> int:
     text = words.take("number")
     if not text.isdigit() or int(text) >= OUTPUTS_EACH:
-        raise ScriptError("type", f"{word} of {text}; allowed: whole numbers from 0 to {OUTPUTS_EACH - 1}")
-    words.signs(")")
-    return known[word] + int(text)
+        raise ScriptError("type", f"{what}{text}; allowed: whole numbers from 0 to {OUTPUTS_EACH - 1}")
+    return int(text)
 
 
-def flag_of(words: Line, first: int) -> tuple[int, bool]:
+def _reads(known: Mapping[str, int]) -> Callable[[Line], int]:
+    def read(words: Line) -> int:
+        word = words.take("name", what=" or ".join(known))
+        if word not in known:
+            raise ScriptError("syntax", f"{word}: {' or '.join(known)} must stand here")
+        words.values("(")
+        number = known[word] + _number_of(words, f"{word} of ")
+        words.values(")")
+        return number
+
+    return read
+
+
+input_read = _reads({"get_standard_digital_in": 0, "get_configurable_digital_in": 8})
+"""Reads the number of an input that a function reads."""
+output_read = _reads(OUTPUTS_READ)
+"""Reads the number of an output that a function reads back."""
+
+
+def switched(first: int) -> tuple[Part, ...]:
     """The number of an output that is switched, counted on from ``first``, and its value."""
-    text = words.take("number")
-    if not text.isdigit() or int(text) >= OUTPUTS_EACH:
-        raise ScriptError("type", f"output {text}; allowed: whole numbers from 0 to {OUTPUTS_EACH - 1}")
-    words.signs(",")
-    return first + int(text), words.flag()
+    return (lambda words: first + _number_of(words, "output "), ",", Line.flag)
 
 
 def parted(row: str) -> tuple[str, str]:
