@@ -19,21 +19,6 @@ from typing import Literal, NamedTuple
 from planner.claims import sentences
 from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.reader import syntax_tree
-from planner.languages.krl.reader.syntax_tree import (
-    AxisLook,
-    Call,
-    Cleared,
-    Dialog,
-    Foot,
-    Halt,
-    Listen,
-    NotExternal,
-    Notice,
-    Prepared,
-    Said,
-    Statement,
-    StopInterrupt,
-)
 from planner.languages.krl.reader.values import KrlValueError
 from planner.programs.steps import letters
 
@@ -80,76 +65,82 @@ class Panel:
         self._told = ""
         """What was shown right before, in letters."""
 
-    def check(self, statement: Statement | None, depth: int) -> None:
+    def check(self, statement: syntax_tree.Statement | None, depth: int) -> None:
         """Raises `PanelError` where the statement, or the program's end, may not come next."""
-        if isinstance(statement, Said):
+        if isinstance(statement, syntax_tree.Said):
             return
-        answer: type[Statement] = Dialog if self.dialect == "krc4" else Halt
+        answer: type[syntax_tree.Statement] = (
+            syntax_tree.Dialog if self.dialect == "krc4" else syntax_tree.Halt
+        )
         if self._question and not isinstance(statement, answer):
-            behind = "dialog with the key Yes" if answer is Dialog else "HALT"
+            behind = "dialog with the key Yes" if answer is syntax_tree.Dialog else "HALT"
             raise PanelError(f"a question that no {behind} follows")
-        if self._reading and not isinstance(statement, Dialog):
+        if self._reading and not isinstance(statement, syntax_tree.Dialog):
             raise PanelError("a text that is to be read before a question, and no question follows")
-        if self._open and not isinstance(statement, NotExternal):
+        if self._open and not isinstance(statement, syntax_tree.NotExternal):
             raise PanelError(
                 f"HALT is no question by itself: {_EXTERNAL_REASON}; refuse that mode right behind it"
             )
-        if self._shown and depth == 0 and not isinstance(statement, Listen | Call | Cleared):
+        if (
+            self._shown
+            and depth == 0
+            and not isinstance(statement, syntax_tree.Listen | syntax_tree.Call | syntax_tree.Cleared)
+        ):
             raise PanelError(f"the panel says {self._shown!r} here, which is not so")
 
-    def halts(self, statement: Statement) -> bool:
+    def halts(self, statement: syntax_tree.Statement) -> bool:
         """Whether the program may halt at the statement without having asked anything."""
-        alone = isinstance(statement, Halt) and self.dialect == "krc4"
+        alone = isinstance(statement, syntax_tree.Halt) and self.dialect == "krc4"
         return (
             alone
-            or isinstance(statement, Foot | AxisLook)
-            or (isinstance(statement, NotExternal) and not self._open)
+            or isinstance(statement, syntax_tree.Foot | syntax_tree.AxisLook)
+            or (isinstance(statement, syntax_tree.NotExternal) and not self._open)
         )
 
-    def take(self, statement: Statement, depth: int) -> Message | None:
+    def take(self, statement: syntax_tree.Statement, depth: int) -> Message | None:
         """What a statement shows. Raises `PanelError`."""
         said = self._take(statement, depth)
-        if not isinstance(statement, Said):
+        if not isinstance(statement, syntax_tree.Said):
             self._told += letters(said.text) if said is not None and said.kind == "#NOTIFY" else ""
-            self._told = self._told if isinstance(statement, Notice) else ""
+            self._told = self._told if isinstance(statement, syntax_tree.Notice) else ""
         return said
 
-    def _take(self, statement: Statement, depth: int) -> Message | None:
+    def _take(self, statement: syntax_tree.Statement, depth: int) -> Message | None:
         match statement:
-            case Said(kind="question", text=text) if self.dialect == "krc2":
+            case syntax_tree.Said(kind="question", text=text) if self.dialect == "krc2":
                 self._main(depth, "a question (;?)")
                 self._question.append(text)
-            case Said(kind="told", text=text) if self.dialect == "krc2":
+            case syntax_tree.Said(kind="told", text=text) if self.dialect == "krc2":
                 return Message(";*", text, panel="line")
-            case Halt():
+            case syntax_tree.Halt():
                 return self._halt(depth)
-            case NotExternal():
+            case syntax_tree.NotExternal():
                 self._main(depth, "the refusal of automatic external")
                 if self.dialect == "krc4" or (self._external and not self._open):
                     raise PanelError("automatic external is refused where nothing is asked; HALT stops there")
                 self._external, self._open = True, False
-            case Prepared():
+            case syntax_tree.Prepared():
                 self._new("messages")
                 self.prepared = True
-            case Dialog(text=text, key=key):
+            case syntax_tree.Dialog(text=text, key=key):
                 self._ready(depth, "a dialog")
                 return self._dialog(text, key)
-            case Notice(text=text, state=False):
+            case syntax_tree.Notice(text=text, state=False):
                 self._ready(depth, "a message")
                 return Message("#NOTIFY", text, panel="line")
-            case Notice(text=text):
+            case syntax_tree.Notice(text=text):
                 self._ready(depth, "a message")
                 return self._state(text)
-            case Cleared():
+            case syntax_tree.Cleared():
                 if not self._shown or not self._waited:
                     raise PanelError("a state is taken back that is not shown, or was none of waiting")
                 self._shown = ""
-            case Listen() if self.dialect == "krc4":
+            case syntax_tree.Listen() if self.dialect == "krc4":
                 self._listens(depth)
-            case Foot():
+            case syntax_tree.Foot():
                 self._main(depth, "the look at $ROBROOT")
                 self._foot(statement)
-            case AxisLook(text=text):
+            case syntax_tree.AxisLook(text=text):
                 self._main(depth, "the look at an external axis")
                 if bool(text) != (self.dialect == "krc4"):
                     raise PanelError(f"an external axis is looked at, and the panel shows {text!r}")
@@ -213,7 +204,7 @@ class Panel:
             raise PanelError("the program waits for the other arm, and the panel does not say so")
         self._waited = True
 
-    def _foot(self, look: Foot) -> None:
+    def _foot(self, look: syntax_tree.Foot) -> None:
         shift, turn, text = look.shift, look.turn, look.text
         self._aligned(look.along)
         says = krl_sentences.FOOT_RIDES if self.along else krl_sentences.FOOT
@@ -285,7 +276,7 @@ class Form:
 
     what: str
     rows: tuple[re.Pattern[str], ...]
-    make: Callable[[int, Found], Statement]
+    make: Callable[[int, Found], syntax_tree.Statement]
 
 
 def _row(code: str) -> re.Pattern[str]:
@@ -331,30 +322,32 @@ _RIDDEN_VALUES = (
 """The same of an arm on external axes, less what these move it by."""
 _FOOT_LOOP = "WHILE (tm_shift><number>) OR (tm_turn><number>)"
 """The loop that goes on while it is."""
+_MESSAGE = 'tm_msg={Modul[] "Tandem",Nr <whole>,Msg_txt[] <text>}'
+"""The statement that sets a message."""
 _FOOT_MESSAGE = (
     "tm_par[1].Par_Type=#VALUE",
     "tm_par[1].Par_Real=tm_shift",
     "tm_par[2].Par_Type=#VALUE",
     "tm_par[2].Par_Real=tm_turn",
-    'tm_msg={Modul[] "Tandem",Nr <whole>,Msg_txt[] <text>}',
+    _MESSAGE,
     "tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)",
 )
 """Statements that show it."""
 _AFTER = ("tm_par[1].Par_Type=#EMPTY", "tm_par[2].Par_Type=#EMPTY")
 
 
-def _dialog(line: int, found: Found) -> Statement:
+def _dialog(line: int, found: Found) -> syntax_tree.Statement:
     yes, other = found[3][1].lower(), found[4][1]
     if (yes == "yes") != (other is not None):
         what = f"a dialog has the keys Yes and No, or Next or Read alone; got {found[3][1]} and {other}"
         raise KrlValueError("syntax", what)
-    return Dialog(line, _text(found[2][1]), yes)
+    return syntax_tree.Dialog(line, _text(found[2][1]), yes)
 
 
 _QUESTION = _rows(
     "tm_answer=0",
     "WHILE tm_answer<>1",
-    'tm_msg={Modul[] "Tandem",Nr <whole>,Msg_txt[] <text>}',
+    _MESSAGE,
     "tm_key[1]={SK_type #VALUE,SK_txt[] <text>}",
     "tm_key[2]=",
     "tm_ticket=Set_KrlDlg(tm_msg,tm_par[],tm_key[],tm_opt)",
@@ -378,7 +371,7 @@ _SECOND_KEY = re.compile(
 """The other soft key: of a second answer, or empty."""
 
 
-def _foot(line: int, found: Found, text: str, ridden: bool = False) -> Statement:
+def _foot(line: int, found: Found, text: str, ridden: bool) -> syntax_tree.Statement:
     rows = len(_RIDDEN_VALUES) if ridden else len(_FOOT_VALUES)
     along: tuple[tuple[int, tuple[float, float, float]], ...] = ()
     if ridden:
@@ -388,7 +381,7 @@ def _foot(line: int, found: Found, text: str, ridden: bool = False) -> Statement
             what = f"$ROBROOT_C is looked at along {first} first, and along {again} then"
             raise KrlValueError("type", what)
         along = first
-    return Foot(line, float(found[rows][1]), float(found[rows][2]), text, along)
+    return syntax_tree.Foot(line, float(found[rows][1]), float(found[rows][2]), text, along)
 
 
 def _along(rows: Found) -> tuple[tuple[int, tuple[float, float, float]], ...]:
@@ -408,6 +401,24 @@ def _along(rows: Found) -> tuple[tuple[int, tuple[float, float, float]], ...]:
     return tuple(zip(columns[0], ((x, y, z) for x, y, z in ways), strict=True))
 
 
+def _foot_forms(what: str, values: tuple[re.Pattern[str], ...], ridden: bool = False) -> tuple[Form, Form]:
+    """The look at the foot that shows nothing, and the one that shows how far it is off."""
+    head, silent, shown = _rows(_FOOT_LOOP), _rows("HALT"), _rows(*_FOOT_MESSAGE, "HALT")
+    text = len(values) + len(head) + _FOOT_MESSAGE.index(_MESSAGE)
+    return (
+        Form(
+            what,
+            (*values, *head, *silent, *values, *_rows("ENDWHILE")),
+            lambda line, found: _foot(line, found, "", ridden),
+        ),
+        Form(
+            what,
+            (*values, *head, *shown, *values, *_rows("ENDWHILE", *_AFTER)),
+            lambda line, found: _foot(line, found, found[text][1], ridden),
+        ),
+    )
+
+
 _AXIS_OFF = (
     re.compile(
         r"tm_shift\s*=\s*ABS\s*\(\s*\$AXIS_ACT\.E([1-6])\s*([+-])\s*(\d+(?:\.\d+)?)\s*\)",
@@ -420,24 +431,26 @@ _AXIS_MESSAGE = _rows(*_FOOT_MESSAGE[:2], *_FOOT_MESSAGE[4:])
 _NEVER_ON = _rows("LOOP", "HALT", "ENDLOOP", "ENDIF")
 
 
-def _axis_look(line: int, found: Found, text: str) -> Statement:
+def _axis_look(line: int, found: Found, text: str) -> syntax_tree.Statement:
     home = float(found[0][3]) * (1.0 if found[0][2] == "-" else -1.0)
-    return AxisLook(line, int(found[0][1]) - 1, home + 0.0, float(found[1][1]), text)
+    return syntax_tree.AxisLook(line, int(found[0][1]) - 1, home + 0.0, float(found[1][1]), text)
 
 
 PANEL_FORMS: tuple[Form, ...] = (
     Form(
         "the interrupt of stop messages",
         _rows("GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM()"),
-        lambda line, _: StopInterrupt(line, False),
+        lambda line, _: syntax_tree.StopInterrupt(line, False),
     ),
     Form(
-        "the interrupt of stop messages", _rows("INTERRUPT ON 3"), lambda line, _: StopInterrupt(line, True)
+        "the interrupt of stop messages",
+        _rows("INTERRUPT ON 3"),
+        lambda line, _: syntax_tree.StopInterrupt(line, True),
     ),
     Form(
         "the refusal of automatic external",
         _rows("WHILE $MODE_OP==#EX", "HALT", "ENDWHILE"),
-        lambda line, _: NotExternal(line),
+        lambda line, _: syntax_tree.NotExternal(line),
     ),
     Form("a dialog", (*_QUESTION[:3], _FIRST_KEY, _SECOND_KEY, *_QUESTION[5:]), _dialog),
     Form(
@@ -447,12 +460,12 @@ PANEL_FORMS: tuple[Form, ...] = (
             *(f"tm_par[{i}]={{Par_Type #EMPTY}}" for i in range(1, 4)),
             *(f"tm_key[{i}]={{SK_type #EMPTY}}" for i in range(3, 8)),
         ),
-        lambda line, _: Prepared(line),
+        lambda line, _: syntax_tree.Prepared(line),
     ),
     Form(
         "a message",
         (
-            _row('tm_msg={Modul[] "Tandem",Nr <whole>,Msg_txt[] <text>}'),
+            _row(_MESSAGE),
             re.compile(
                 _row("tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)").pattern
                 + "|("
@@ -461,7 +474,7 @@ PANEL_FORMS: tuple[Form, ...] = (
                 re.IGNORECASE | re.ASCII,
             ),
         ),
-        lambda line, found: Notice(line, _text(found[0][1]), found[1][1] is not None),
+        lambda line, found: syntax_tree.Notice(line, _text(found[0][1]), found[1][1] is not None),
     ),
     Form(
         "the look at an external axis",
@@ -476,33 +489,10 @@ PANEL_FORMS: tuple[Form, ...] = (
     Form(
         "the end of a state",
         _rows("tm_gone=Clear_KrlMsg(tm_state)"),
-        lambda line, _: Cleared(line),
+        lambda line, _: syntax_tree.Cleared(line),
     ),
-    Form(
-        "the look at $ROBROOT",
-        _rows(*_FOOT_VALUES, _FOOT_LOOP, "HALT", *_FOOT_VALUES, "ENDWHILE"),
-        lambda line, found: _foot(line, found, ""),
-    ),
-    Form(
-        "the look at $ROBROOT",
-        _rows(*_FOOT_VALUES, _FOOT_LOOP, *_FOOT_MESSAGE, "HALT", *_FOOT_VALUES, "ENDWHILE", *_AFTER),
-        lambda line, found: _foot(line, found, found[7][1]),
-    ),
-    Form(
-        "the look at $ROBROOT_C",
-        (*_RIDDEN_VALUES, *_rows(_FOOT_LOOP, "HALT"), *_RIDDEN_VALUES, *_rows("ENDWHILE")),
-        lambda line, found: _foot(line, found, "", ridden=True),
-    ),
-    Form(
-        "the look at $ROBROOT_C",
-        (
-            *_RIDDEN_VALUES,
-            *_rows(_FOOT_LOOP, *_FOOT_MESSAGE, "HALT"),
-            *_RIDDEN_VALUES,
-            *_rows("ENDWHILE", *_AFTER),
-        ),
-        lambda line, found: _foot(line, found, found[9][1], ridden=True),
-    ),
+    *_foot_forms("the look at $ROBROOT", _rows(*_FOOT_VALUES)),
+    *_foot_forms("the look at $ROBROOT_C", _RIDDEN_VALUES, ridden=True),
 )
 """All forms; of those that begin alike the one counts that goes on as the text does."""
 
