@@ -20,9 +20,10 @@ from planner.claims.claim import FeedWindow
 from planner.claims.segments import Segment, clash, fold
 from planner.issues import Severity, TandemError, given_wrong
 from planner.languages.krl.reader.parser import marked_comment as marked
-from planner.languages.krl.writer.syntax import comment, mark
+from planner.languages.krl.writer.syntax import comment
 from planner.languages.rapid.writer.syntax import procedure
 from planner.languages.writing import write
+from planner.languages.writing.layout import mark
 from planner.processes import registry
 from planner.programs.text import segment_of_name
 from planner.proof import prove

@@ -14,8 +14,9 @@ import bisect
 import dataclasses
 import itertools
 import math
+import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from planner.claims.segments import Segment
 from planner.claims.sentences import SPELT
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
-from planner.problem import Arm, Turntable
+from planner.problem import Arm, Controller, Turntable
 from planner.targets import Action
 
 LINE_END = "\r\n"
@@ -264,6 +265,24 @@ def plain(text: str) -> str:
     return "".join(c if 32 <= ord(c) < 127 else "?" for c in kept)
 
 
+def mark(segment: Segment) -> str:
+    """The label by which a comment of KRL and URScript says which segment begins; names that have more than
+    letters, digits and underscores as programs can tell them."""
+    label = str(segment)
+    return label if re.fullmatch(r"[\w/]+", label, re.ASCII) else segment.key
+
+
+def confirms(step: Step | None) -> bool:
+    """Whether a step is a question."""
+    return isinstance(step, Do) and step.action.kind == "confirm"
+
+
+def question_follows(steps: Sequence[Step]) -> bool:
+    """Whether the next step that is more than a message is a question."""
+    rest = (step for step in steps if not (isinstance(step, Do) and step.action.kind == "message"))
+    return confirms(next(rest, None))
+
+
 _LEAST_PART_MOVES = 200
 """Where arms meet at every move a part has so many moves at least, or what a module takes."""
 
@@ -316,6 +335,27 @@ def parts(
 def kilobytes(text: str) -> int:
     """How many kilobytes a file of that text has, rounded up."""
     return math.ceil(len(text.encode()) / 1000)
+
+
+def require_sizes(files: Mapping[str, str], limits: Controller, what: str) -> None:
+    """Raise :class:`TandemError` (``post.no_split``) for a file that is larger than the controller takes;
+    ``what``: the files in the hint."""
+    for path, text in files.items():
+        if len(text.encode()) > limits.max_bytes:
+            message = f"{path} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
+            hint = f"allow larger {what}: controller: {{max_kilobytes: {kilobytes(text)}}}"
+            raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
+
+
+def require_one_file(path: str, text: str, limits: Controller, moves: int, what: str) -> None:
+    """Raise :class:`TandemError` (``post.no_split``) for a program that cannot be split and has more moves
+    or bytes than the controller takes; ``what``: its moves in the message."""
+    if moves > limits.max_moves or len(text.encode()) > limits.max_bytes:
+        got = f"{path} has {moves} {what} and {len(text.encode())} bytes"
+        message = f"{got}; allowed: {limits.max_moves} and {limits.max_bytes}, for it is one program"
+        most = max(moves, limits.max_moves), max(kilobytes(text), limits.max_bytes // 1000)
+        hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
+        raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
 
 
 class _Load:

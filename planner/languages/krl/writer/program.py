@@ -18,56 +18,25 @@ from planner.catalogue.robots import RobotData
 from planner.cell.kinematics import forward
 from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, IntArray
-from planner.issues import Issue, TandemError
 from planner.languages.krl import sentences as krl_sentences
 from planner.languages.krl.writer import spline_blocks, syntax
 from planner.languages.krl.writer import syntax as linear_moves
 from planner.languages.krl.writer.data import Data
-from planner.languages.krl.writer.syntax import Lines, comment, mark, name
-from planner.languages.writing import handshake
-from planner.languages.writing.handshake import (
-    Ask,
-    AwaitLine,
-    AwaitRunning,
-    Halt,
-    Note,
-    Partner,
-    PartnerStep,
-    SetLine,
-    Tell,
-)
+from planner.languages.krl.writer.syntax import Lines, comment, name
+from planner.languages.writing import handshake, layout
+from planner.languages.writing.header import header
 from planner.languages.writing.language import Margins, WrittenPrograms
-from planner.languages.writing.layout import (
-    LINE_END,
-    TRACK_COLUMN,
-    AxesLook,
-    Carry,
-    Do,
-    Job,
-    Joints,
-    Load,
-    Meet,
-    OperationProgram,
-    Outer,
-    Part,
-    Run,
-    Step,
-    SyncOff,
-    SyncOn,
-    TaskProgram,
-    kilobytes,
-    parts,
-    short,
-)
 from planner.languages.writing.outer_axes import outer_names, outer_speeds
 from planner.plans import Plan
 from planner.problem import Controller, KrlDialect, Problem
-from planner.runtime.version import __version__
 from planner.targets import Action
 
 
 def partner_lines(
-    partner: Partner, controller: Controller, steps: Sequence[PartnerStep], shown: bool = True
+    partner: handshake.Partner,
+    controller: Controller,
+    steps: Sequence[handshake.PartnerStep],
+    shown: bool = True,
 ) -> list[str]:
     """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
     a meeting it does already."""
@@ -78,22 +47,22 @@ def partner_lines(
     out: list[str] = []
     for step in steps:
         match step:
-            case SetLine(value):
+            case handshake.SetLine(value):
                 out.append(f"$OUT[{output}]={_level(value)}")
-            case AwaitLine(value, seconds):
+            case handshake.AwaitLine(value, seconds):
                 wait = _wait(f"$IN[{given}]=={_level(1 - value)}", seconds, partner.unanswered)
                 out += syntax.during(waiting, wait, controller.dialect) if shown else wait
-            case AwaitRunning(value, seconds):
+            case handshake.AwaitRunning(value, seconds):
                 wait = _wait(f"$IN[{runs}]=={_level(1 - value)}", seconds, partner.not_as_wanted(value))
                 out += syntax.during(waiting, wait, controller.dialect) if shown else wait
-            case Halt(text):  # krc2: the HALT of the question is a stop itself
+            case handshake.Halt(text):  # krc2: the HALT of the question is a stop itself
                 out += ["HALT"] if controller.dialect == "krc4" else []
                 out += syntax.question_lines(text, controller.dialect)
-            case Ask(text):
+            case handshake.Ask(text):
                 out += syntax.question_lines(text, controller.dialect)
-            case Tell(text):
+            case handshake.Tell(text):
                 out += syntax.message_lines(text, controller.dialect)
-            case Note(text):
+            case handshake.Note(text):
                 out += comment(text)
     return out
 
@@ -156,25 +125,25 @@ class Main:
 
     def __init__(
         self,
-        task: TaskProgram,
-        job: Job,
+        task: layout.TaskProgram,
+        job: layout.Job,
         plan: Plan,
         problem: Problem,
         data: Data,
-        layout: Sequence[Part],
+        split: Sequence[layout.Part],
         moves: Sequence[Lines | None],
         stem: str,
     ) -> None:
         self.task, self.job, self.problem, self.data = task, job, problem, data
-        self.layout, self.moves, self.stem = layout, moves, stem
+        self.split, self.moves, self.stem = split, moves, stem
         self.controller = problem.cell.controller
         self.dialect = problem.cell.controller.dialect
-        self.partner = Partner.of(task, job)
+        self.partner = handshake.Partner.of(task, job)
         self.bodies: dict[str, list[str]] = {}
         self.speeds = outer_speeds(task, plan, problem)
         self.along = {axis.column: task.base[:3, :3].T @ axis.axis for axis in task.arm.axes}
-        self._held: Load | None = None
-        self._stood: Outer | None = None
+        self._held: layout.Load | None = None
+        self._stood: layout.Outer | None = None
         self._at: FloatArray | None = None
         self._percent = 0
         self._slow = False
@@ -200,45 +169,47 @@ class Main:
                 self.bodies[f"{self.stem}_{partner_suffix(phases)}"] = body
         return out
 
-    def _operation(self, index: int, operation: OperationProgram) -> list[str]:
+    def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
         out = comment(f"Operation {operation.name}.")
-        if any(isinstance(step, Joints | Run) for step in operation.steps):
+        if any(isinstance(step, layout.Joints | layout.Run) for step in operation.steps):
             out += [
                 f"$TOOL={self.data.tool(operation.arm.tool)}",
                 f"$LOAD={self.data.load(operation.arm.tool, self._held)}",
                 f"$BASE={self.data.base(operation)}",
             ]
-        plain = (step for step in operation.steps if not isinstance(step, SyncOn | SyncOff))
-        for moving, steps in itertools.groupby(plain, lambda step: isinstance(step, Run)):
+        plain = (step for step in operation.steps if not isinstance(step, layout.SyncOn | layout.SyncOff))
+        for moving, steps in itertools.groupby(plain, lambda step: isinstance(step, layout.Run)):
             if moving:
-                out += self._runs(index, operation, [step for step in steps if isinstance(step, Run)])
+                out += self._runs(index, operation, [step for step in steps if isinstance(step, layout.Run)])
             else:
                 done = list(steps)
                 for i, step in enumerate(done):
-                    out += self._step(step, index, operation, _question_follows(done[i + 1 :]))
+                    out += self._step(step, index, operation, layout.question_follows(done[i + 1 :]))
         return out
 
-    def _step(self, step: Step, index: int, operation: OperationProgram, asks: bool) -> list[str]:
+    def _step(
+        self, step: layout.Step, index: int, operation: layout.OperationProgram, asks: bool
+    ) -> list[str]:
         """The lines of a step; ``asks``: behind it and what else is told stands a question."""
         match step:
-            case Joints():
+            case layout.Joints():
                 return self._ptp(step, index, operation)
-            case AxesLook(station):
+            case layout.AxesLook(station):
                 names = outer_names(self.task)
                 looks = (syntax.axis_check(names[c], c, value, self.dialect) for c, value in station)
                 return [line for look in looks for line in look]
-            case Meet(number, reached, seconds) if self.partner is not None:
+            case layout.Meet(number, reached, seconds) if self.partner is not None:
                 steps = self.partner.meet(number, seconds)
                 lines = partner_lines(self.partner, self.controller, steps)
                 return [*comment(f"Meeting: {reached}"), *lines]
-            case Do(action):
+            case layout.Do(action):
                 return self._action(action, asks)
-            case Carry(load):
+            case layout.Carry(load):
                 self._held = load
                 return [f"$LOAD={self.data.load(operation.arm.tool, load)}"]
         return []
 
-    def _ptp(self, step: Joints, index: int, operation: OperationProgram) -> list[str]:
+    def _ptp(self, step: layout.Joints, index: int, operation: layout.OperationProgram) -> list[str]:
         limits = self.problem.settings
         share = UNKNOWN_START_PERCENT
         if self._at is not None:
@@ -274,7 +245,7 @@ class Main:
             case "on" | "off":
                 return [self._switch(action.signal, action.kind == "on")]
             case "wait":
-                return [f"WAIT SEC {short(action.seconds, 3)}"]
+                return [f"WAIT SEC {layout.short(action.seconds, 3)}"]
             case "input":
                 return self._input(action)
 
@@ -303,12 +274,12 @@ class Main:
 
     # ---- moves ----
 
-    def _runs(self, index: int, operation: OperationProgram, runs: Sequence[Run]) -> list[str]:
+    def _runs(self, index: int, operation: layout.OperationProgram, runs: Sequence[layout.Run]) -> list[str]:
         """Calls of the subprograms with the moves of runs that follow one another."""
         if operation.track is None:
             return []
         first, last = runs[0].first, runs[-1].last
-        inside = (p for p in self.layout if p.operation == index and first <= p.first < last)
+        inside = (p for p in self.split if p.operation == index and first <= p.first < last)
         calls = []
         for _, grouped in itertools.groupby(inside, lambda part: part.module):
             word = f"{self.stem}_{len(self.bodies) + 1}"
@@ -316,14 +287,16 @@ class Main:
             calls.append(f"{word}()")
         self._at = operation.track.q[last - 1]
         if operation.track.outer is not None:  # the tool's speed says how fast the track goes along
-            calls = [f"$VEL_EXTAX[{TRACK_COLUMN + 1}]={ALL_PERCENT}", *calls]
+            calls = [f"$VEL_EXTAX[{layout.TRACK_COLUMN + 1}]={ALL_PERCENT}", *calls]
             self._slow, self._stood = False, syntax.ridden(operation.station, operation.track.outer[last - 1])
         if self.partner is not None and operation.meets[first:last].any():
             together = krl_sentences.TOGETHER.filled(arm=self.partner.other)
             return syntax.during(together, calls, self.dialect)
         return calls
 
-    def _moves(self, index: int, operation: OperationProgram, parts: Iterable[Part]) -> list[str]:
+    def _moves(
+        self, index: int, operation: layout.OperationProgram, inside: Iterable[layout.Part]
+    ) -> list[str]:
         """The lines of a file: all settings stand before its first move."""
         lines, track = self.moves[index], operation.track
         out: list[str] = []
@@ -335,20 +308,15 @@ class Main:
                 row: f"{self.stem}_{partner_suffix(self.partner.phases(int(operation.meets[row])))}()"
                 for row in np.flatnonzero(operation.meets).tolist()
             }
-        for number, part in enumerate(parts):
-            seconds = short(float(track.duration[part.first : part.last].sum()), 2)
-            out += comment(f"Segment {mark(part.segment)}: {part.last - part.first} moves, {seconds} s.")
+        for number, part in enumerate(inside):
+            seconds = layout.short(float(track.duration[part.first : part.last].sum()), 2)
+            out += comment(
+                f"Segment {layout.mark(part.segment)}: {part.last - part.first} moves, {seconds} s."
+            )
             for row in range(part.first, part.last):
                 out += lines.of(row, fresh=number == 0 and row == part.first)
                 out += [calls[row]] if row in calls else []
         return out
-
-
-def _question_follows(steps: Sequence[Step]) -> bool:
-    """Whether the next step that is more than a message is a question."""
-    rest = (step for step in steps if not (isinstance(step, Do) and step.action.kind == "message"))
-    first = next(rest, None)
-    return isinstance(first, Do) and first.action.kind == "confirm"
 
 
 _STEM_LENGTH: Final = 16
@@ -360,7 +328,7 @@ _CALL_BYTES: Final = 30
 
 
 def write(
-    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+    tasks: Sequence[layout.TaskProgram], job: layout.Job, plan: Plan, problem: Problem, margins: Margins
 ) -> WrittenPrograms:
     """Write the programs of KUKA arms. Raises :class:`TandemError` (``post.*``)."""
     limits = problem.cell.controller
@@ -371,19 +339,17 @@ def write(
         np.max([_sizes(moves[t.number][i], len(t.operations[i].ids)) for t in tasks], axis=0) + call
         for i in range(len(plan.operations))
     ]
-    layout = parts(job, sizes, _HEADER_BYTES, limits.max_moves, limits.max_bytes)
+    split = layout.parts(job, sizes, _HEADER_BYTES, limits.max_moves, limits.max_bytes)
     out: dict[str, str] = {}
     for task in tasks:
-        out |= _files(task, job, plan, problem, margins, data[task.number], layout, moves[task.number])
-    for path, text in out.items():
-        if len(text.encode()) > limits.max_bytes:
-            message = f"{path} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
-            hint = f"allow larger files: controller: {{max_kilobytes: {kilobytes(text)}}}"
-            raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
+        out |= _files(task, job, plan, problem, margins, data[task.number], split, moves[task.number])
+    layout.require_sizes(out, limits, "files")
     return WrittenPrograms(out)
 
 
-def _lines(task: TaskProgram, plan: Plan, problem: Problem, data: Data) -> list[linear_moves.Lines | None]:
+def _lines(
+    task: layout.TaskProgram, plan: Plan, problem: Problem, data: Data
+) -> list[linear_moves.Lines | None]:
     """The text of the moves of each operation."""
     controller = problem.cell.controller
     rows = spline_blocks.operation_rows(task, data)
@@ -402,26 +368,28 @@ def _lines(task: TaskProgram, plan: Plan, problem: Problem, data: Data) -> list[
     ]
 
 
-def _ridden(operation: OperationProgram) -> FloatArray | None:
+def _ridden(operation: layout.OperationProgram) -> FloatArray | None:
     """Values (M,) [mm] of a track that goes along, None where it stands."""
     return None if operation.track is None else operation.track.outer
 
 
 def _files(
-    task: TaskProgram,
-    job: Job,
+    task: layout.TaskProgram,
+    job: layout.Job,
     plan: Plan,
     problem: Problem,
     margins: Margins,
     data: Data,
-    layout: Sequence[Part],
+    split: Sequence[layout.Part],
     moves: Sequence[linear_moves.Lines | None],
 ) -> dict[str, str]:
     """The files of one task."""
     stem = name(problem.name, _STEM_LENGTH)
-    main = Main(task, job, plan, problem, data, layout, moves, stem)
+    main = Main(task, job, plan, problem, data, split, moves, stem)
     body = main.lines()
-    head = _header(task, job, plan, problem, margins)
+    assumptions = spline_blocks.SPLINE_ASSUMPTIONS if problem.cell.controller.path == "spline" else ()
+    told = header(task, job, plan, margins, assumptions)
+    head = [line for sentence in told for line in comment(sentence)]
     brief = comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
     dialect = problem.cell.controller.dialect
     note = "; what this program was planned for; the proof starts from these"
@@ -431,7 +399,9 @@ def _files(
     for word, lines in main.bodies.items():
         files[f"{word}.src"] = _program(word, brief, lines, main.bodies, dialect)
     return {
-        f"{task.arm.name}/{path}": "".join(f"{line}{LINE_END}" for line in ["&ACCESS RVP", "&REL 1", *lines])
+        f"{task.arm.name}/{path}": "".join(
+            f"{line}{layout.LINE_END}" for line in ["&ACCESS RVP", "&REL 1", *lines]
+        )
         for path, lines in files.items()
     }
 
@@ -445,30 +415,6 @@ def _program(
     if dialect == "krc2" and any(line.startswith("BAS(") for line in body):
         declared.insert(0, syntax.EXT_BAS)
     return [f"DEF {word}()", *declared, *head, *body, "END"]
-
-
-def _header(task: TaskProgram, job: Job, plan: Plan, problem: Problem, margins: Margins) -> list[str]:
-    tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
-    out = comment(f"Written by Tandem {__version__} for arm {task.arm.name}: {task.robot.title}.")
-    out += comment(f"Tool {tools}. Written, not taught: plan again to change it.")
-    out += comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
-    for item, value in margins.items():
-        out += comment(f"Proven: {item} {value}.")
-    if problem.cell.controller.path == "spline":
-        for sentence in spline_blocks.SPLINE_ASSUMPTIONS:
-            out += comment(sentence)
-    partner = Partner.of(task, job)
-    if partner is not None:
-        for sentence in partner.header():
-            out += comment(sentence)
-        for drift in job.drifts:
-            out += comment(f"Operation {drift.name}: {handshake.drift_sentence(drift)}.")
-    switched = ", ".join(job.switched(task))
-    if switched:
-        out += comment(
-            f"A program that stops leaves {switched} as it is: wire it so that power falls with the drives."
-        )
-    return out
 
 
 def _sizes(lines: linear_moves.Lines | None, count: int) -> IntArray:

@@ -18,7 +18,6 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
 from planner.issues import Issue, TandemError
@@ -78,13 +77,6 @@ def name(text: str, length: int = NAME_LENGTH) -> str:
 def comment(text: str) -> list[str]:
     """Comment lines of plain text, wrapped."""
     return [f"; {line}" for line in textwrap.wrap(plain(text), 100)]
-
-
-def mark(segment: Segment) -> str:
-    """The label by which a comment says which segment begins; names that have more than letters, digits and
-    underscores as programs can tell them."""
-    label = str(segment)
-    return label if re.fullmatch(r"[\w/]+", label, re.ASCII) else segment.key
 
 
 def abc(rotation: FloatArray) -> FloatArray:

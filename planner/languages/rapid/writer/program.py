@@ -38,97 +38,63 @@ from planner.languages.rapid.writer.syntax import (
     write_lines,
     zones,
 )
-from planner.languages.writing import handshake
-from planner.languages.writing.handshake import (
-    Ask,
-    AwaitLine,
-    AwaitRunning,
-    Halt,
-    Note,
-    Partner,
-    PartnerStep,
-    SetLine,
-    Tell,
-)
+from planner.languages.writing import handshake, layout
+from planner.languages.writing.header import meeting_sentences, origin, tool_names
 from planner.languages.writing.language import Margins, WrittenPrograms
-from planner.languages.writing.layout import (
-    LINE_END,
-    AxesLook,
-    Carry,
-    Do,
-    Job,
-    Joints,
-    Meet,
-    OperationProgram,
-    Part,
-    Run,
-    Step,
-    SyncOff,
-    SyncOn,
-    TaskProgram,
-    kilobytes,
-    parts,
-    short,
-)
 from planner.plans import Plan
 from planner.problem import Controller, Problem
 from planner.runtime.version import __version__
 
 
-def partner_lines(partner: Partner, steps: Sequence[PartnerStep]) -> list[str]:
+def partner_lines(partner: handshake.Partner, steps: Sequence[handshake.PartnerStep]) -> list[str]:
     """The statements of the steps."""
     return [line for step in steps for line in _step(partner, step)]
 
 
-def partner_call(partner: Partner, number: int) -> str:
+def partner_call(partner: handshake.Partner, number: int) -> str:
     """The call behind a move at which the meeting ``number`` is; empty for 0."""
     return "" if number == 0 else f"{_name(partner.phases(number))};"
 
 
-def partner_procedures(partner: Partner, task: TaskProgram) -> dict[str, list[str]]:
+def partner_procedures(partner: handshake.Partner, task: layout.TaskProgram) -> dict[str, list[str]]:
     """Bodies of the procedures that the task's moves are followed by, by name."""
     made = {_name(p): partner_lines(partner, partner.step(n)) for p, n in partner.kinds(task).items()}
     return {name: made[name] for name in sorted(made)}
 
 
-def partner_unanswered(partner: Partner) -> list[str]:
+def partner_unanswered(partner: handshake.Partner) -> list[str]:
     """What an error handler says of a wait that was over its time."""
     text = write_lines(UNANSWERED.filled(other=partner.other))
     return ["IF ERRNO=ERR_WAIT_MAXTIME THEN", *(f"  {line}" for line in text), "ENDIF"]
-
-
-def partner_header(partner: Partner) -> list[str]:
-    """Comment lines on the signals."""
-    signals, wires = partner.header()
-    alone = "Error handlers leave these lines alone: a change would be read as an arrival."
-    return [*comment(signals), *comment(f"{wires} {alone}")]
 
 
 def _name(phases: tuple[int, ...]) -> str:
     return f"handshake_{phases[0]}" if len(phases) == 1 else "handshake"
 
 
-def _step(partner: Partner, step: PartnerStep) -> list[str]:
+def _step(partner: handshake.Partner, step: handshake.PartnerStep) -> list[str]:
     own = partner.handshake.of(partner.arm)
     match step:
-        case SetLine(value):
+        case handshake.SetLine(value):
             return [f"SetDO\\Sync,{identifier(own.output)},{value};"]
-        case AwaitLine(value, seconds):
-            return [f"WaitDI {identifier(own.input)},{value}\\MaxTime:={short(seconds, 3)};"]
-        case AwaitRunning(value, seconds):
-            return [f"WaitDI {identifier(own.partner_running)},{value}\\MaxTime:={short(seconds, 3)};"]
-        case Halt(text):
+        case handshake.AwaitLine(value, seconds):
+            return [f"WaitDI {identifier(own.input)},{value}\\MaxTime:={layout.short(seconds, 3)};"]
+        case handshake.AwaitRunning(value, seconds):
+            return [f"WaitDI {identifier(own.partner_running)},{value}\\MaxTime:={layout.short(seconds, 3)};"]
+        case handshake.Halt(text):
             return ["Stop;", *box(HEADER, text)]
-        case Ask(text):
+        case handshake.Ask(text):
             return box(HEADER, text)
-        case Tell(text):
+        case handshake.Tell(text):
             return write_lines(text)
-        case Note(text):
+        case handshake.Note(text):
             return comment(text)
 
 
 NameArray = NDArray[np.str_]
 
+_LINES_KEPT = "Error handlers leave these lines alone: a change would be read as an arrival."
+"""Said of the lines between two controllers."""
 _INDENT = "  "
 """One level of indentation."""
 _PROC_BYTES = 1500
@@ -138,7 +104,7 @@ _CALL_BYTES = 20
 
 
 def write(
-    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+    tasks: Sequence[layout.TaskProgram], job: layout.Job, plan: Plan, problem: Problem, margins: Margins
 ) -> WrittenPrograms:
     """Write the programs of ABB arms. Raises :class:`TandemError` (``post.*``)."""
     zone = [_zones(job, i) for i in range(len(plan.operations))]
@@ -146,7 +112,7 @@ def write(
     sizes = [
         np.max(
             [
-                [len(line) + len(_INDENT) * 2 + len(LINE_END) for line in moves[t.number][i]]
+                [len(line) + len(_INDENT) * 2 + len(layout.LINE_END) for line in moves[t.number][i]]
                 or [0] * len(t.operations[i].ids)
                 for t in tasks
             ],
@@ -157,17 +123,13 @@ def write(
     if job.handshake is not None:
         sizes = [size + _CALL_BYTES for size in sizes]
     limits = problem.cell.controller
-    layout = part_names(parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes))
+    split = part_names(layout.parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes))
     out: dict[str, str] = {}
     for task in tasks:
-        writer = _Task(task, job, plan, problem, margins, layout, moves[task.number])
+        writer = _Task(task, job, plan, problem, margins, split, moves[task.number])
         own_zones = {name for op in zone for name in op.get(task.number, np.array([])).tolist()}
-        out |= {name: text.replace("\n", LINE_END) for name, text in writer.files(own_zones).items()}
-    for name, text in out.items():
-        if len(text.encode()) > limits.max_bytes:
-            message = f"{name} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
-            hint = f"allow larger modules: controller: {{max_kilobytes: {kilobytes(text)}}}"
-            raise TandemError(Issue("post.no_split", message, file=name, hint=hint))
+        out |= {name: text.replace("\n", layout.LINE_END) for name, text in writer.files(own_zones).items()}
+    layout.require_sizes(out, limits, "modules")
     return WrittenPrograms(out)
 
 
@@ -176,11 +138,11 @@ def module_suffix(controller: Controller) -> str:
     return ".mod" if controller.robotware == 6 else ".modx"
 
 
-def _moving(job: Job, operation: int) -> list[TaskProgram]:
+def _moving(job: layout.Job, operation: int) -> list[layout.TaskProgram]:
     return [task for task in job.tasks if task.operations[operation].track is not None]
 
 
-def _zones(job: Job, operation: int) -> dict[int, NameArray]:
+def _zones(job: layout.Job, operation: int) -> dict[int, NameArray]:
     """Zone names of each task's moves; stops are the same moves in all tasks."""
     out = {}
     for task in _moving(job, operation):
@@ -190,7 +152,9 @@ def _zones(job: Job, operation: int) -> dict[int, NameArray]:
     return out
 
 
-def _moves(task: TaskProgram, job: Job, zone: Sequence[Mapping[int, NameArray]]) -> list[list[str]]:
+def _moves(
+    task: layout.TaskProgram, job: layout.Job, zone: Sequence[Mapping[int, NameArray]]
+) -> list[list[str]]:
     """The move instructions of each operation."""
     out: list[list[str]] = []
     tools = Tools(task)
@@ -210,19 +174,19 @@ class _Task:
 
     def __init__(
         self,
-        task: TaskProgram,
-        job: Job,
+        task: layout.TaskProgram,
+        job: layout.Job,
         plan: Plan,
         problem: Problem,
         margins: Margins,
-        layout: Mapping[Part, str],
+        split: Mapping[layout.Part, str],
         moves: Sequence[Sequence[str]],
     ) -> None:
         self.task, self.job, self.plan, self.problem = task, job, plan, problem
-        self.margins, self.layout, self.moves = margins, layout, moves
+        self.margins, self.split, self.moves = margins, split, moves
         self.stations = Stations(task)
         self.tools = Tools(task)
-        self.partner = Partner.of(task, job)
+        self.partner = handshake.Partner.of(task, job)
         self.signals = job.switched(task)
         # tasks of two controllers may have the same name
         alone = problem.cell.controller.sync == "handshake"
@@ -234,7 +198,7 @@ class _Task:
         names = (self.tools, self.stations)
         data = data_lines(self.task, self.job, self.plan, self.problem, names, zone_names)
         bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main(), f"TandemCheck_{n}": self._check()}
-        own = [part for part in self.layout if self.task.operations[part.operation].track is not None]
+        own = [part for part in self.split if self.task.operations[part.operation].track is not None]
         for module in dict.fromkeys(part.module for part in own):
             lines = [line for part in own if part.module == module for line in [*self._part(part), ""]]
             bodies[f"TandemCut{module}_{n}"] = lines[:-1]
@@ -269,35 +233,31 @@ class _Task:
 
     def _header(self) -> list[str]:
         task = self.task
-        out = comment(
-            f"Written by Tandem {__version__} for task {task.task}, {task.unit}: {task.robot.title}."
-        )
-        tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
-        out += comment(f"Arm {task.arm.name}, tool {tools}. Written, not taught: plan again to change it.")
-        out += comment(f"Problem {self.plan.problem_name}, SHA-256 {self.plan.digest}.")
-        for name, value in self.margins.items():
-            out += comment(f"Proven: {name} {value}.")
+        told = [
+            f"Written by Tandem {__version__} for task {task.task}, {task.unit}: {task.robot.title}.",
+            f"Arm {task.arm.name}, tool {tool_names(task)}. Written, not taught: plan again to change it.",
+            *origin(self.plan, self.margins),
+        ]
         if isinstance(task.robot.form, OffsetParameters):
-            out += comment(
+            told.append(
                 "Arm with an offset wrist: how it counts confdata is not settled, so they are all 0 here and "
                 "ConfL is off: moves go on from the posture of the joint move before them. First run it "
                 "without stock."
             )
         if task.robot.coupling is not None:
-            out += comment(
+            told.append(
                 "Parallel-rod arm: jointtargets hold the controller's axis 3 (serial angle plus axis 2). How "
                 "this arm counts cfx is not settled, so ConfL is off here: first run it without stock."
             )
         if self.partner is not None:
-            out += partner_header(self.partner)
-            for drift in self.job.drifts:
-                out += comment(f"Operation {drift.name}: {handshake.drift_sentence(drift)}.")
+            signals, wires, *drifts = meeting_sentences(self.partner, self.job)
+            told += [signals, f"{wires} {_LINES_KEPT}", *drifts]
         if self.signals:
-            out += comment(
+            told.append(
                 f"Error handlers switch {', '.join(self.signals)} off first. An emergency stop runs no "
                 "handler: wire the power so that it falls with the motors."
             )
-        return out
+        return [line for sentence in told for line in comment(sentence)]
 
     # ---- main module ----
 
@@ -340,54 +300,56 @@ class _Task:
             out += ["", *self._procedure(rapid_data.AXES_CHECK, axes)]
         return rapid_data.lines(out, together, bool(axes))
 
-    def _operation(self, index: int, operation: OperationProgram) -> list[str]:
+    def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
         body = comment(f"Operation {operation.name}.")
         for step in operation.steps:
             body += self._step(step, index)
         return self._procedure(f"operation_{index + 1}", body)
 
-    def _step(self, step: Step, operation: int) -> list[str]:
+    def _step(self, step: layout.Step, operation: int) -> list[str]:
         match step:
-            case Joints():
+            case layout.Joints():
                 name = self.stations.of(step, operation + 1)
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
                 ident = "" if step.id is None else f"\\ID:={step.id}"
                 return [f"MoveAbsJ {name}{ident}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
-            case AxesLook():
+            case layout.AxesLook():
                 return [f"{rapid_data.AXES_CHECK};"]
-            case Meet(number, reached, seconds) if self.partner is not None:
+            case layout.Meet(number, reached, seconds) if self.partner is not None:
                 steps = self.partner.meet(number, seconds)
                 return [*comment(f"Meeting: {reached}"), *partner_lines(self.partner, steps)]
-            case SyncOn() | SyncOff() if self.partner is not None:
+            case layout.SyncOn() | layout.SyncOff() if self.partner is not None:
                 return []
-            case Meet(number, reached):
+            case layout.Meet(number, reached):
                 return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASK_LIST};"]
-            case SyncOn(number):
+            case layout.SyncOn(number):
                 return [f"SyncMoveOn {block(number, 'on')},{TASK_LIST};"]
-            case SyncOff(number):
+            case layout.SyncOff(number):
                 return [f"SyncMoveOff {block(number, 'off')};"]
-            case Do(action):
+            case layout.Do(action):
                 return action_lines(action)
-            case Carry(load):
+            case layout.Carry(load):
                 return [f"GripLoad {load_name(load)};"]
-            case Run():
-                inside = (p for p in self.layout if p.operation == step.operation)
-                return [f"{self.layout[p]};" for p in inside if step.first <= p.first < step.last]
+            case layout.Run():
+                inside = (p for p in self.split if p.operation == step.operation)
+                return [f"{self.split[p]};" for p in inside if step.first <= p.first < step.last]
 
     # ---- procedures ----
 
-    def _part(self, part: Part) -> list[str]:
+    def _part(self, part: layout.Part) -> list[str]:
         operation = self.task.operations[part.operation]
         rows = slice(part.first, part.last)
         seconds = (
-            short(float(operation.track.duration[rows].sum()), 2) if operation.track is not None else "0"
+            layout.short(float(operation.track.duration[rows].sum()), 2)
+            if operation.track is not None
+            else "0"
         )
         body = comment(f"Segment {part.segment}: {part.last - part.first} moves, {seconds} s.")
         moves = self.moves[part.operation][rows]
         if self.partner is not None:
             calls = [partner_call(self.partner, number) for number in operation.meets[rows].tolist()]
             moves = [line for pair in zip(moves, calls, strict=True) for line in pair if line]
-        return self._procedure(self.layout[part], [*body, *moves])
+        return self._procedure(self.split[part], [*body, *moves])
 
     def _procedure(self, name: str, body: Sequence[str]) -> list[str]:
         out = [f"PROC {name}()", *(_INDENT + line for line in body)]

@@ -17,24 +17,7 @@ import numpy as np
 from planner.catalogue.robots import RobotData
 from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, to_quaternion
 from planner.languages.trajectories.reader import rows
-from planner.programs.steps import (
-    CarryStep,
-    Fault,
-    FlowError,
-    JointTarget,
-    Load,
-    MessageStep,
-    MoveStep,
-    PassedTarget,
-    SignalStep,
-    Speed,
-    Step,
-    SyncStep,
-    Tool,
-    WaitStep,
-    WorkObject,
-    Zone,
-)
+from planner.programs import steps
 
 PASSED, WAY = "passed", "way"
 """Kinds of moves: to a point that is passed in work, and from rest to rest outside of it."""
@@ -44,9 +27,9 @@ BLOCK, WORLD = "block", "wobj0"
 """What the frames of work are called here: that in which the block stands, and the world."""
 WAY_LABEL: Final = "main"
 """Segment of what is no work."""
-_NO_LIMIT: Final = Speed(math.inf, math.inf, math.inf, math.inf)
-_STOP: Final = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_PASSES: Final = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_NO_LIMIT: Final = steps.Speed(math.inf, math.inf, math.inf, math.inf)
+_STOP: Final = steps.Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_PASSES: Final = steps.Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_AXES: Final = np.zeros(6)
 
 
@@ -64,7 +47,7 @@ def columns(program: rows.Program) -> dict[str, slice]:
     return out
 
 
-def flow(program: rows.Program, data: Mapping[str, RobotData]) -> dict[str, tuple[Step, ...]]:
+def flow(program: rows.Program, data: Mapping[str, RobotData]) -> dict[str, tuple[steps.Step, ...]]:
     """{arm: its steps} of a program without faults; ``data`` of the arms' robots. Raises `FlowError`."""
     return _Runner(program, data).run()
 
@@ -74,26 +57,26 @@ class _Runner:
         self.program, self.data = program, data
         self.arms = [arm.arm for arm in program.arms]
         self.columns = columns(program)
-        self.out: dict[str, list[Step]] = {arm: [] for arm in self.arms}
-        self.tools: dict[str, tuple[str, Tool]] = {}
+        self.out: dict[str, list[steps.Step]] = {arm: [] for arm in self.arms}
+        self.tools: dict[str, tuple[str, steps.Tool]] = {}
         self.operation: rows.OperationRow | None = None
         self.label = WAY_LABEL
         """Where in the work of its operation an arm stands."""
-        self.frames: dict[tuple[int, int], WorkObject] = {}
+        self.frames: dict[tuple[int, int], steps.WorkObject] = {}
         self.here: tuple[float, ...] | None = None
         self.goals = self.ids = 0
 
-    def run(self) -> dict[str, tuple[Step, ...]]:
+    def run(self) -> dict[str, tuple[steps.Step, ...]]:
         for arm in self.program.arms:
             wanted = self.data[arm.arm].axes
             if len(arm.joints) != wanted:
                 self._fail(arm, f"{len(arm.joints)} joints of {arm.arm}; its robot has {wanted}")
         for row in self.program.rows:
             self._row(row)
-        return {arm: tuple(steps) for arm, steps in self.out.items()}
+        return {arm: tuple(own) for arm, own in self.out.items()}
 
     def _fail(self, row: rows.Row, message: str) -> NoReturn:
-        raise FlowError([Fault(row.line, 1, "trajectory.flow", message, self.program.file)])
+        raise steps.FlowError([steps.Fault(row.line, 1, "trajectory.flow", message, self.program.file)])
 
     def _where(self, row: rows.Row, label: str = "main") -> tuple[str, str, int, str]:
         return self.program.file.rpartition("/")[2], label, row.line, ""
@@ -105,33 +88,33 @@ class _Runner:
                 self.operation, self.label = row, WAY_LABEL
             case rows.CarryRow(arm=arm, mass=mass, centre=centre, axes=axes, inertia=inertia):
                 turn = to_quaternion(exp_rotation(np.array(axes)))
-                load = Load(mass, np.array(centre), turn, np.array(inertia))
-                self.out[arm].append(CarryStep(*where, load, f"what {arm} holds"))
+                load = steps.Load(mass, np.array(centre), turn, np.array(inertia))
+                self.out[arm].append(steps.CarryStep(*where, load, f"what {arm} holds"))
             case rows.ToolRow(tool=name, arm=arm, tcp=tcp, mass=mass, centre=centre):
-                load = Load(mass, np.array(centre), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
-                self.tools[arm] = name, Tool(True, pose(tcp), load)
+                load = steps.Load(mass, np.array(centre), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+                self.tools[arm] = name, steps.Tool(True, pose(tcp), load)
             case rows.AtRow(at=values):
                 self.here = values if self.here is None else self.here
             case rows.TellRow(text=text):
-                lead.append(MessageStep(*where, "tell", (text,), False, text, False, "line"))
+                lead.append(steps.MessageStep(*where, "tell", (text,), False, text, False, "line"))
             case rows.AskRow(text=text):
-                lead.append(MessageStep(*where, "ask", (text,), True, text, True))
+                lead.append(steps.MessageStep(*where, "ask", (text,), True, text, True))
                 self._meet(row, "WaitSyncTask", f"asked_{row.line}")
             case rows.SetRow(signal=signal, to=value):
-                lead.append(SignalStep(*where, "set", signal, float(value), 0.0, True))
+                lead.append(steps.SignalStep(*where, "set", signal, float(value), 0.0, True))
             case rows.AwaitRow(signal=signal, to=value, within=seconds):
-                lead.append(WaitStep(*where, "await", seconds, signal, float(value), True))
+                lead.append(steps.WaitStep(*where, "await", seconds, signal, float(value), True))
             case rows.DwellRow(seconds=seconds):
                 if seconds <= 0.0:
                     self._fail(row, f"a dwell of {seconds:g} s")
-                lead.append(WaitStep(*where, "dwell", seconds, "", None, True))
+                lead.append(steps.WaitStep(*where, "dwell", seconds, "", None, True))
             case rows.MoveRow():
                 self._move(row)
 
     def _meet(self, row: rows.Row, kind: str, ident: str) -> None:
         if len(self.arms) > 1:
             for arm in self.arms:
-                self.out[arm].append(SyncStep(*self._where(row), kind, ident, tuple(self.arms)))
+                self.out[arm].append(steps.SyncStep(*self._where(row), kind, ident, tuple(self.arms)))
 
     def _move(self, row: rows.MoveRow) -> None:
         if self.here is None:
@@ -193,16 +176,16 @@ class _Runner:
 
     def _step(
         self, label: str, kind: str, point: rows.Point, arm: str, time: float, together: bool
-    ) -> MoveStep:
+    ) -> steps.MoveStep:
         own = self.columns[arm]
         q, v = np.array(point.q[own]), np.array(point.v[own])
         name, tool = self.tools[arm]
         if kind in (PASSED, BEGINS[PASSED]):
-            target: PassedTarget | JointTarget = PassedTarget(q, v, _NO_AXES)
+            target: steps.PassedTarget | steps.JointTarget = steps.PassedTarget(q, v, _NO_AXES)
         else:
-            target = JointTarget(self.data[arm].to_controller(q), _NO_AXES)
+            target = steps.JointTarget(self.data[arm].to_controller(q), _NO_AXES)
         stops = not any(point.v)
-        return MoveStep(
+        return steps.MoveStep(
             *self._where(point, label),
             kind,
             target,
@@ -219,22 +202,22 @@ class _Runner:
             (),
         )
 
-    def _frame(self, arm: str) -> tuple[WorkObject, str]:
+    def _frame(self, arm: str) -> tuple[steps.WorkObject, str]:
         """The frame of an arm's work: the block's, which stands; where one arm holds it the world for that
         one, and for the other one what its tool carries."""
         operation = self.operation
         if operation is None:
-            return WorkObject(False, True, "", np.eye(4), np.eye(4)), BLOCK
+            return steps.WorkObject(False, True, "", np.eye(4), np.eye(4)), BLOCK
         holder = operation.held_by
         if arm == holder:
-            return self._known(0, WorkObject(False, True, "", np.eye(4), np.eye(4))), WORLD
+            return self._known(0, steps.WorkObject(False, True, "", np.eye(4), np.eye(4))), WORLD
         if holder:
             tool = self.tools[holder][1].pose
-            return self._known(id(tool), WorkObject(False, False, holder, np.eye(4), tool)), BLOCK
-        block = WorkObject(False, True, "", np.eye(4), pose(operation.block))
+            return self._known(id(tool), steps.WorkObject(False, False, holder, np.eye(4), tool)), BLOCK
+        block = steps.WorkObject(False, True, "", np.eye(4), pose(operation.block))
         return self._known(operation.line, block), BLOCK
 
-    def _known(self, key: int, made: WorkObject) -> WorkObject:
+    def _known(self, key: int, made: steps.WorkObject) -> steps.WorkObject:
         """One object for one frame of an operation."""
         line = 0 if self.operation is None else self.operation.line
         return self.frames.setdefault((line, key), made)

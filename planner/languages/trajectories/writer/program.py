@@ -56,13 +56,7 @@ def write(
     main = _Main(job, plan, problem)
     path = f"{rows.stem(problem.name)}.trajectory.jsonl"
     text = rows.sealed(main.lines())
-    limits = problem.cell.controller
-    if main.points > limits.max_moves or len(text.encode()) > limits.max_bytes:
-        got = f"{path} has {main.points} points and {len(text.encode())} bytes"
-        message = f"{got}; allowed: {limits.max_moves} and {limits.max_bytes}, for it is one program"
-        most = max(main.points, limits.max_moves), max(layout.kilobytes(text), limits.max_bytes // 1000)
-        hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
-        raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
+    layout.require_one_file(path, text, problem.cell.controller, main.points, "points")
     planned = [operation.time for operation in plan.operations]
     return WrittenPrograms({path: text}, {k: spliced(planned[k], runs) for k, runs in main.runs.items()})
 

@@ -198,11 +198,13 @@ class Reader:
             off, text = switched_off(rows, blocking=True)
             must_be(rows, "end")
             return syntax_tree.StaysLow(line, number, off, text)
-        place: tuple[Part, ...] = ("point_dist(get_forward_kin(", Line.name, ",", Line.pose, "),", Line.pose)
-        values = words.rest(*place, ")>", above_zero(1.0, "the distance"), ":")
+        looked: tuple[Part, ...] = (Line.name, ",", Line.pose, "),", Line.pose)
+        name, tip, place, most = words.rest(
+            "point_dist(get_forward_kin(", *looked, ")>", above_zero(1.0, "the distance"), ":"
+        )
         text = ended(next_line(rows), rows, blocking=True)
         must_be(rows, "end")
-        return syntax_tree.Look(line, *values, text)
+        return syntax_tree.Look(line, name, tip, place, most, text)
 
 
 def _head(words: Line) -> str:
@@ -227,7 +229,7 @@ def _named(name: str) -> None:
 def _call(line: int, words: Line) -> syntax_tree.Statement:
     word = words.take("name", what="a statement")
     if awaits_arc(word):
-        make = functools.partial(syntax_tree.AwaitArc, name=word)
+        make: Callable[..., syntax_tree.Statement] = functools.partial(syntax_tree.AwaitArc, name=word)
         parts: tuple[Part, ...] = (above_zero(MOST_SECONDS, "the longest wait"),)
     elif word in _CALLS:
         make, parts = _CALLS[word]

@@ -41,39 +41,15 @@ from planner.languages.urscript.writer.meetings import (
     watched_meeting,
     watched_start,
 )
-from planner.languages.urscript.writer.syntax import comment, mark, name
+from planner.languages.urscript.writer.syntax import comment, name
 from planner.languages.urscript.writer.torches import Torch, torches
 from planner.languages.urscript.writer.torches import functions as torch_functions
-from planner.languages.writing.handshake import (
-    Ask,
-    AwaitLine,
-    AwaitRunning,
-    Partner,
-    SetLine,
-    Tell,
-    drift_sentence,
-)
+from planner.languages.writing import handshake, layout
+from planner.languages.writing.header import header
 from planner.languages.writing.language import Margins, WrittenPrograms
-from planner.languages.writing.layout import (
-    LINE_END,
-    Carry,
-    Do,
-    Job,
-    Joints,
-    Meet,
-    OperationProgram,
-    Run,
-    Step,
-    TaskProgram,
-    Track,
-    kilobytes,
-    number,
-    short,
-)
 from planner.languages.writing.steps import require_mass
 from planner.plans import Plan
 from planner.problem import Arm, Problem
-from planner.runtime.version import __version__
 from planner.targets import Action
 from planner.tooling import Tool
 
@@ -93,6 +69,8 @@ _ZERO: Final = np.deg2rad([-90.0, 0.0, -90.0, 0.0, 0.0])
 """Offsets of axes 2 to 6 of UR's own zero posture."""
 _AGREE: Final = 1e-6
 """How far an arm may be off that [rad]."""
+_UNTESTED: Final = "No controller of UR has run such a program yet: begin at low speed, and compare the time."
+"""Said at the head of each program."""
 _STEM_LENGTH: Final = 24
 """Characters of the problem's name in the program's."""
 
@@ -138,7 +116,7 @@ def joint_speed(
 class _Main:
     """Writes the program of one task."""
 
-    def __init__(self, task: TaskProgram, job: Job, plan: Plan, problem: Problem) -> None:
+    def __init__(self, task: layout.TaskProgram, job: layout.Job, plan: Plan, problem: Problem) -> None:
         self.task, self.job, self.plan, self.problem = task, job, plan, problem
         self.foot = controller_base(task.arm)
         self.base = task.base @ self.foot
@@ -146,7 +124,7 @@ class _Main:
         self.tools: dict[str, str] = {}
         self.places: dict[str, str] = {}
         self.moves = 0
-        self.partner = Partner.of(task, job)
+        self.partner = handshake.Partner.of(task, job)
         self.asks, self.held = frozenset[int](), frozenset[int]()
         """Meetings behind which this program asks somebody, and those in which the other one does."""
         if self.partner is not None:
@@ -172,7 +150,7 @@ class _Main:
     def lines(self) -> tuple[list[str], list[str]]:
         """Declarations, and the statements behind them."""
         self._declare("base_frame", syntax.pose(self.base))
-        home = self._joints(Joints(self.task.arm.home, "home"), 0)
+        home = self._joints(layout.Joints(self.task.arm.home, "home"), 0)
         place = inverse(self.foot) @ forward(self.task.robot, self.task.arm.home) @ CHECK_TIP
         text = urscript_sentences.OTHER_ARM.filled(arm=self.task.arm.name, model=self.task.arm.robot)
         out = self._unlit()
@@ -223,7 +201,7 @@ class _Main:
 
     # ---- the other controller ----
 
-    def _functions(self, partner: Partner) -> list[str]:
+    def _functions(self, partner: handshake.Partner) -> list[str]:
         """What waits for the other program, and what watches it."""
         own = partner.handshake.of(partner.arm)
         off = [self._switch(signal, False) for signal in (own.running, *self.job.switched(self.task))]
@@ -244,15 +222,15 @@ class _Main:
     def _runs(self, on: bool) -> str:
         return self._switch(self._own.running, on)
 
-    def _start(self, partner: Partner, clear: str) -> list[str]:
+    def _start(self, partner: handshake.Partner, clear: str) -> list[str]:
         """All up to the first meeting, and that. A program begins with its wires low, and stands for a while
         before its running wire rises behind a question; at the second one it sees the other one run."""
         out, popups, first = [self._runs(False)], list[str](), True
         for step in watched_start(partner, clear):
             match step:
-                case Tell(text) if partner.lead:
+                case handshake.Tell(text) if partner.lead:
                     popups = syntax.told(text, before_question=True)
-                case Ask(text):
+                case handshake.Ask(text):
                     before = [] if first else [self._runs(False)]
                     seen = [] if first else [syntax.checked(0, False)]
                     stands = f"sleep({syntax.real(syntax.SEEN, 1)})"
@@ -266,16 +244,16 @@ class _Main:
     def _rises(self) -> list[str]:
         return [self._runs(True), f"sleep({syntax.real(syntax.SETTLED, 1)})"]
 
-    def _meeting(self, partner: Partner, number: int, wait: float) -> list[str]:
+    def _meeting(self, partner: handshake.Partner, meeting: int, wait: float) -> list[str]:
         """A meeting. Nobody watches any more from before one on in which the other program asks, or
         behind which both come to their ends; a question of this program stands in it or before."""
-        quiet = number in self.held or number == partner.meets
-        longest = partner.handshake.patience if number in self.held else 0.0
+        quiet = meeting in self.held or meeting == partner.meets
+        longest = partner.handshake.patience if meeting in self.held else 0.0
         first, rest = watched_meeting(partner, wait, longest)
-        self.met = number
+        self.met = meeting
         out = self._watch(False) if quiet else []
-        out += [syntax.checked(1, True)] if self.begun == number else self._steps(first)
-        if partner.lead and number in self.asks:
+        out += [syntax.checked(1, True)] if self.begun == meeting else self._steps(first)
+        if partner.lead and meeting in self.asks:
             self.rest = rest
             return out
         return out + self._steps(rest)
@@ -284,19 +262,19 @@ class _Main:
         out: list[str] = []
         for step in steps:
             match step:
-                case SetLine(value):
+                case handshake.SetLine(value):
                     out.append(self._switch(self._own.output, value == 1))
-                case AwaitLine(value, seconds):
+                case handshake.AwaitLine(value, seconds):
                     out.append(syntax.awaited(syntax.AWAIT_LINE, value, seconds))
-                case AwaitRunning(value, seconds):
+                case handshake.AwaitRunning(value, seconds):
                     out.append(syntax.awaited(syntax.AWAIT_RUNNING, value, seconds))
                 case Watch() if self.partner is not None and self.met < self.partner.meets:
                     out += self._watch(True)
-                case Tell(text):
+                case handshake.Tell(text):
                     out += syntax.told(text, before_question=False)
         return out
 
-    def _asked(self, popups: Sequence[str], behind: Sequence[Step]) -> list[str]:
+    def _asked(self, popups: Sequence[str], behind: Sequence[layout.Step]) -> list[str]:
         """A question between two meetings; ``behind``: steps of the operation behind it. The other program
         waits with its line at 1: of the lead in the meeting before, else in the one behind."""
         if self.partner is None:
@@ -332,40 +310,42 @@ class _Main:
             raise TandemError(Issue("post.name", message, hint="give the tool another name"))
         return word
 
-    def _operation(self, index: int, operation: OperationProgram) -> list[str]:
+    def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
         out, told = comment(f"Operation {operation.name}."), False
         self.torch = self.torches.get(index)
         held: list[str] = []
         for i, step in enumerate(operation.steps):
-            if not told and isinstance(step, Joints | Run):  # behind the setup that has mounted the tool
+            if not told and isinstance(
+                step, layout.Joints | layout.Run
+            ):  # behind the setup that has mounted the tool
                 told, tool = True, operation.arm.tool
                 out += [f"set_tcp({self._tool(tool)})", _payload(tool)]
-            if isinstance(step, Do) and step.action.kind in ("message", "confirm"):
-                held += self._action(step.action, _question_follows(operation.steps[i + 1 :]))
+            if isinstance(step, layout.Do) and step.action.kind in ("message", "confirm"):
+                held += self._action(step.action, layout.question_follows(operation.steps[i + 1 :]))
                 if step.action.kind == "confirm":
                     out, held = [*out, *self._asked(held, operation.steps[i + 1 :])], []
-                elif not _question_follows(operation.steps[i + 1 :]):
+                elif not layout.question_follows(operation.steps[i + 1 :]):
                     out, held = [*out, *held], []
                 continue
             out += self._step(step, index, operation)
         return out
 
-    def _step(self, step: Step, index: int, operation: OperationProgram) -> list[str]:
+    def _step(self, step: layout.Step, index: int, operation: layout.OperationProgram) -> list[str]:
         match step:
-            case Joints():
+            case layout.Joints():
                 return self._movej(step, index, operation)
-            case Do(action):
+            case layout.Do(action):
                 return self._action(action, False)
-            case Meet(meeting, reached, seconds) if self.partner is not None:
+            case layout.Meet(meeting, reached, seconds) if self.partner is not None:
                 wait = self.partner.handshake.patience + math.ceil(seconds)
                 return [*comment(f"Meeting: {reached}"), *self._meeting(self.partner, meeting, wait)]
-            case Run():
+            case layout.Run():
                 return self._run(step, operation)
-            case Carry(load) if load is not None:
+            case layout.Carry(load) if load is not None:
                 raise TandemError(no_load(self.task.arm.name))
         return []
 
-    def _movej(self, step: Joints, index: int, operation: OperationProgram) -> list[str]:
+    def _movej(self, step: layout.Joints, index: int, operation: layout.OperationProgram) -> list[str]:
         limits, robot = self.problem.settings, self.task.robot
         tcp, share, start = operation.arm.tool.tcp, limits.speed_fraction, self._at
         if start is None:
@@ -377,7 +357,7 @@ class _Main:
         acceleration = float(np.floor(1e4 * self._acceleration) / 1e4)
         return [syntax.movej(self._joints(step, index), acceleration, speed)]
 
-    def _joints(self, step: Joints, operation: int) -> str:
+    def _joints(self, step: layout.Joints, operation: int) -> str:
         text = syntax.joints(self.task.robot.to_controller(step.q))
         if text not in self.places:
             stem = "x_home" if step.place == "home" else f"x_{operation}_{step.place}"
@@ -396,7 +376,7 @@ class _Main:
             self.tools[key] = self._declare(own, value)
         return self.tools[key]
 
-    def _frame(self, operation: OperationProgram) -> str:
+    def _frame(self, operation: layout.OperationProgram) -> str:
         """Name of the frame of an operation's moves, as the controller's base sees it."""
         kind = "world" if operation.track is None else operation.track.frame
         seen = inverse(self.base)
@@ -436,7 +416,7 @@ class _Main:
             raise TandemError(Issue("post.signal", message, arm=self.task.arm.name))
         return found
 
-    def _run(self, run: Run, operation: OperationProgram) -> list[str]:
+    def _run(self, run: layout.Run, operation: layout.OperationProgram) -> list[str]:
         track, some = operation.track, slice(run.first, run.last)
         if track is None:
             return []
@@ -451,12 +431,12 @@ class _Main:
             )
             hint = "let the motion stop there, or choose another TCP or cut, so that the tool has a way"
             raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, target=place, hint=hint))
-        seconds = short(float(track.duration[some].sum()), 2)
+        seconds = layout.short(float(track.duration[some].sum()), 2)
         out: list[str] = []
         if self.torch is not None and self.lit and not self.guarded:
             out.append(self.torch.watched)
             self.guarded = True
-        out += comment(f"Segment {mark(run.segment)}: {run.last - run.first} moves, {seconds} s.")
+        out += comment(f"Segment {layout.mark(run.segment)}: {run.last - run.first} moves, {seconds} s.")
         moves = syntax.straight(track, radius, self._frame(operation))[some]
         if self.partner is not None and self._at is not None:
             rests = np.flatnonzero(self._still(operation, track)[some])
@@ -470,10 +450,10 @@ class _Main:
         self.moves += run.last - run.first
         return out
 
-    def _still(self, operation: OperationProgram, track: Track) -> BoolArray:
+    def _still(self, operation: layout.OperationProgram, track: layout.Track) -> BoolArray:
         """Whether (M,) moves go nowhere. Raises :class:`TandemError` (``post.blend``) where the first one
         does: behind a move by joints a program knows no place to stand at."""
-        start = next(s.q for s in operation.steps if isinstance(s, Joints) and s.place == "start")
+        start = next(s.q for s in operation.steps if isinstance(s, layout.Joints) and s.place == "start")
         out = syntax.still(track, start)
         if out[:1].any():
             message = f"operation {operation.name}: arm {self.task.arm.name} stands still in its first move"
@@ -499,27 +479,17 @@ def _payload(tool: Tool) -> str:
     """The statement that tells mass [kg] and centre [m] in the flange's frame. Raises :class:`TandemError`
     (``post.tool``) for a tool without mass."""
     require_mass(tool, "a payload needs {} kg at least")
-    return f"set_payload({number(tool.mass, 3)},{syntax.vector(np.asarray(tool.cog), 6)})"
+    return f"set_payload({layout.number(tool.mass, 3)},{syntax.vector(np.asarray(tool.cog), 6)})"
 
 
-def _asks_again(steps: Sequence[Step]) -> bool:
+def _asks_again(steps: Sequence[layout.Step]) -> bool:
     """Whether another question stands ahead of the next meeting."""
-    rest = (step for step in steps if isinstance(step, Meet | Run) or _confirms(step))
-    return _confirms(next(rest, None))
-
-
-def _confirms(step: Step | None) -> bool:
-    return isinstance(step, Do) and step.action.kind == "confirm"
-
-
-def _question_follows(steps: Sequence[Step]) -> bool:
-    """Whether the next step that is more than a message is a question."""
-    rest = (step for step in steps if not (isinstance(step, Do) and step.action.kind == "message"))
-    return _confirms(next(rest, None))
+    rest = (step for step in steps if isinstance(step, layout.Meet | layout.Run) or layout.confirms(step))
+    return layout.confirms(next(rest, None))
 
 
 def write(
-    tasks: Sequence[TaskProgram], job: Job, plan: Plan, problem: Problem, margins: Margins
+    tasks: Sequence[layout.TaskProgram], job: layout.Job, plan: Plan, problem: Problem, margins: Margins
 ) -> WrittenPrograms:
     """Write the programs of UR's arms. Raises :class:`TandemError` (``post.*``)."""
     limits = problem.cell.controller
@@ -528,40 +498,13 @@ def write(
         stem = name(problem.name, _STEM_LENGTH)
         main = _Main(task, job, plan, problem)
         data, body = main.lines()
-        head = _header(task, job, plan, margins)
+        told = header(task, job, plan, margins, untested=[_UNTESTED])
+        head = [line for sentence in told for line in comment(sentence)]
         note = "# what this program was planned for; the proof starts from these"
         digest = f'problem_digest = "{plan.digest}"'
         rows = [f"def {stem}():", *head, note, digest, *data, *body, "end"]
         path = f"{task.arm.name}/{stem}.script"
-        text = "".join(f"{row}{LINE_END}" for row in rows)
-        over = main.moves > limits.max_moves, len(text.encode()) > limits.max_bytes
-        if any(over):
-            got = f"{path} has {main.moves} moves and {len(text.encode())} bytes"
-            message = f"{got}; allowed: {limits.max_moves} and {limits.max_bytes}, for it is one program"
-            most = max(main.moves, limits.max_moves), max(kilobytes(text), limits.max_bytes // 1000)
-            hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
-            raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
+        text = "".join(f"{row}{layout.LINE_END}" for row in rows)
+        layout.require_one_file(path, text, limits, main.moves, "moves")
         out[path] = text
     return WrittenPrograms(out)
-
-
-def _header(task: TaskProgram, job: Job, plan: Plan, margins: Margins) -> list[str]:
-    tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
-    out = comment(f"Written by Tandem {__version__} for arm {task.arm.name}: {task.robot.title}.")
-    out += comment(f"Tool {tools}. Written, not taught: plan again to change it.")
-    out += comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
-    for item, value in margins.items():
-        out += comment(f"Proven: {item} {value}.")
-    if (partner := Partner.of(task, job)) is not None:
-        out += [line for text in partner.header() for line in comment(text)]
-        drifts = [f"Operation {drift.name}: {drift_sentence(drift)}." for drift in job.drifts]
-        out += [line for text in drifts for line in comment(text)]
-    out += comment(
-        "No controller of UR has run such a program yet: begin at low speed, and compare the time."
-    )
-    switched = ", ".join(job.switched(task))
-    if switched:
-        out += comment(
-            f"A program that stops leaves {switched} as it is: wire it so that power falls with the drives."
-        )
-    return out

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, from_quaternion, log_rotation
 from planner.issues import Issue, TandemError
 from planner.languages.writing.layout import Track, number, plain, short
@@ -79,12 +78,6 @@ def name(text: str, length: int = NAME_LENGTH) -> str:
 def comment(text: str) -> list[str]:
     """Comment lines of plain text, wrapped."""
     return [f"# {line}" for line in textwrap.wrap(plain(text), 100)]
-
-
-def mark(segment: Segment) -> str:
-    """The label by which a comment says which segment begins."""
-    label = str(segment)
-    return label if re.fullmatch(r"[\w/]+", label, re.ASCII) else segment.key
 
 
 def pose(matrix: FloatArray) -> str:
