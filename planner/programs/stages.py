@@ -169,42 +169,29 @@ def split_into_stages(tasks: list[TaskText], asked: set[str]) -> tuple[Stage, ..
 
     A task that is alone meets nobody: there the confirmations ``asked`` of setups part the stages too.
     """
-    if not tasks:
-        return ()
-    if len(tasks) == 1:
-        return _lone_stages(tasks[0], asked)
     rows = [[(step.kind, step.ident) for step in sync_points(task)] for task in tasks]
     if any(row != rows[0] for row in rows):
         return ()
-    cut: list[list[tuple[Step, ...]]] = []
-    for task in tasks:
-        parts: list[list[Step]] = [[]]
-        for step in task.steps:
-            if isinstance(step, SyncStep):
-                parts.append([])
-            else:
-                parts[-1].append(step)
-        cut.append([tuple(part) for part in parts])
-    stages = []
-    inside = False
-    for i in range(len(rows[0]) + 1):
-        kind, ident = rows[0][i - 1] if i else ("", None)
-        inside = kind == "SyncMoveOn" or (inside and kind not in ("SyncMoveOff", "SyncMoveUndo"))
-        stages.append(Stage(inside, ident, {task.name: cut[n][i] for n, task in enumerate(tasks)}))
-    return tuple(stages)
+    cuts = [_cut(task, asked if len(tasks) == 1 else set()) for task in tasks]
+    return tuple(
+        Stage(
+            inside, ident, {task.name: tuple(cut[number][2]) for task, cut in zip(tasks, cuts, strict=True)}
+        )
+        for number, (inside, ident, _) in enumerate(cuts[0] if cuts else ())
+    )
 
 
-def _lone_stages(task: TaskText, asked: set[str]) -> tuple[Stage, ...]:
+def _cut(task: TaskText, asked: set[str]) -> list[tuple[bool, str | None, list[Step]]]:
+    """The steps of a task from one synchronisation point, or confirmation that is ``asked``, to the next:
+    whether all tasks move together there, and by what that begins."""
     stages: list[tuple[bool, str | None, list[Step]]] = [(False, None, [])]
     for step in task.steps:
         inside, ident, last = stages[-1]
         if isinstance(step, SyncStep):
-            inside = step.kind == "SyncMoveOn" or (
-                inside and step.kind not in ("SyncMoveOff", "SyncMoveUndo")
-            )
-            stages.append((inside, step.ident, []))
+            opens, closes = step.kind == "SyncMoveOn", step.kind in ("SyncMoveOff", "SyncMoveUndo")
+            stages.append((opens or (inside and not closes), step.ident, []))
         elif isinstance(step, MessageStep) and step.confirm and step.text in asked:
             stages += [(inside, ident, [step]), (inside, ident, [])]
         else:
             last.append(step)
-    return tuple(Stage(inside, ident, {task.name: tuple(steps)}) for inside, ident, steps in stages)
+    return stages
