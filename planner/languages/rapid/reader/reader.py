@@ -1,8 +1,7 @@
 """RAPID programs of one task, read strictly: text of modules to `Module`, and all their faults.
 
-`read_task` gives the modules and every fault of syntax, names, types and sizes; `flatten` gives the
-straight way of the task, `flow` all that may run beside it too. The reader shares no code with the
-writer: it knows the language from ABB's manuals only.
+`read_task` gives the modules and every fault of syntax, names, types and sizes. The reader shares no code
+with the writer: it knows the language from ABB's manuals only.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
+from planner.languages.rapid.reader import syntax_tree
 from planner.languages.rapid.reader.expressions import (
     MAX_BRACKETS,
     expression,
@@ -20,7 +20,7 @@ from planner.languages.rapid.reader.expressions import (
     quick_move,
     typed,
 )
-from planner.languages.rapid.reader.flow import CHECK_MODULE, Flow, flatten, flow, handlers
+from planner.languages.rapid.reader.flow import CHECK_MODULE
 from planner.languages.rapid.reader.lexer import (
     FUNCTIONS,
     INSTRUCTIONS,
@@ -33,24 +33,9 @@ from planner.languages.rapid.reader.lexer import (
     shown,
 )
 from planner.languages.rapid.reader.program_text import RapidText
-from planner.languages.rapid.reader.syntax_tree import (
-    ALL_TYPES,
-    Assign,
-    Data,
-    Expr,
-    For,
-    If,
-    LateCall,
-    Module,
-    Name,
-    ProcCall,
-    Procedure,
-    Statement,
-    While,
-)
 from planner.languages.rapid.reader.type_check import Checker
 from planner.programs import text as program_text
-from planner.programs.steps import Fault, FlowError
+from planner.programs.steps import Fault
 
 _CLOSING_WORDS = ("endproc", "endmodule", "error", "undo", "proc")
 """Words that end what is open."""
@@ -94,7 +79,7 @@ class Parser:
 
     # ---- module level ----
 
-    def module(self) -> Module | None:
+    def module(self) -> syntax_tree.Module | None:
         """The module, or None when not even its frame is there."""
         self._skip_old_header()
         try:
@@ -104,8 +89,8 @@ class Parser:
         except RapidSyntaxError as wrong:
             self.fault(wrong.start, wrong.code, wrong.message)
             return None
-        data: list[Data] = []
-        procedures: list[Procedure] = []
+        data: list[syntax_tree.Data] = []
+        procedures: list[syntax_tree.Procedure] = []
         while self.cursor.take_word("endmodule") is None:
             token = self.cursor.token
             if token.kind == "end":
@@ -119,7 +104,9 @@ class Parser:
                 self._note(self.cursor.fault("nothing behind ENDMODULE"))
         size = len(self.text.encode("utf-8", "surrogatepass"))
         starts = self.cursor.starts
-        return Module(name, attributes, tuple(data), tuple(procedures), self.file, size, len(starts), starts)
+        return syntax_tree.Module(
+            name, attributes, tuple(data), tuple(procedures), self.file, size, len(starts), starts
+        )
 
     def _skip_old_header(self) -> None:
         # IRC5 still accepts the header lines of older controllers: %%% VERSION:1 LANGUAGE:ENGLISH %%%
@@ -142,7 +129,7 @@ class Parser:
             self.cursor.expect_symbol(")", "behind the module attributes")
         return tuple(found)
 
-    def _declaration(self, data: list[Data], procedures: list[Procedure]) -> None:
+    def _declaration(self, data: list[syntax_tree.Data], procedures: list[syntax_tree.Procedure]) -> None:
         first = self.cursor.token
         local = self.cursor.take_word("local") is not None
         if self.cursor.take_word("proc"):
@@ -156,10 +143,10 @@ class Parser:
             storage = "task pers"
         data.append(self._data(first, storage.upper(), local))
 
-    def _data(self, first: Token, storage: str, local: bool) -> Data:
+    def _data(self, first: Token, storage: str, local: bool) -> syntax_tree.Data:
         token = self.cursor.token
-        if token.kind != "name" or token.word not in ALL_TYPES:
-            raise self.cursor.fault("a data type: " + ", ".join(sorted(ALL_TYPES)))
+        if token.kind != "name" or token.word not in syntax_tree.ALL_TYPES:
+            raise self.cursor.fault("a data type: " + ", ".join(sorted(syntax_tree.ALL_TYPES)))
         kind = self.cursor.take().word
         start = self.cursor.token.start
         name = self._new_name("data")
@@ -169,7 +156,7 @@ class Parser:
                 raise self.cursor.fault("the array's length, a whole number from 1 to 9999999")
             size = int(self.cursor.take().text)
             self.cursor.expect_symbol("}", "behind the array's length")
-        initial: Expr | None = None
+        initial: syntax_tree.Expr | None = None
         if self.cursor.take_symbol(":="):
             initial = expression(self.cursor, self.limits.string)
             if size is None:
@@ -180,7 +167,9 @@ class Parser:
             self.fault(
                 start, "rapid.no_value", f"{storage} {name} has no value; it must be given {what} with :="
             )
-        return Data(self.cursor.line(first.start), start, name, kind, storage, local, size, initial)
+        return syntax_tree.Data(
+            self.cursor.line(first.start), start, name, kind, storage, local, size, initial
+        )
 
     def _new_name(self, what: str) -> str:
         token = self.cursor.token
@@ -190,7 +179,7 @@ class Parser:
             raise RapidSyntaxError(
                 token.start, "rapid.name_reserved", f"{shown(token.text)} is a reserved word of RAPID"
             )
-        if token.word in INSTRUCTIONS or token.word in FUNCTIONS or token.word in ALL_TYPES:
+        if token.word in INSTRUCTIONS or token.word in FUNCTIONS or token.word in syntax_tree.ALL_TYPES:
             message = f"{shown(token.text)} is built in (instruction, function or type); choose another name"
             self.fault(token.start, "rapid.name_reserved", message)
         if len(token.text) > self.limits.name:
@@ -200,7 +189,7 @@ class Parser:
 
     # ---- procedures and blocks ----
 
-    def _procedure(self, first: Token, local: bool) -> Procedure:
+    def _procedure(self, first: Token, local: bool) -> syntax_tree.Procedure:
         start = self.cursor.token.start
         name = self._new_name("procedure")
         self.cursor.expect_symbol("(", "behind the procedure's name")
@@ -210,12 +199,12 @@ class Parser:
         undo = self._block(_CLOSING_WORDS, 0) if self.cursor.take_word("undo") else None
         if self.cursor.take_word("endproc") is None:
             self._note(self.cursor.fault(f"ENDPROC of {name}"))
-        return Procedure(self.cursor.line(first.start), start, name, local, body, error, undo)
+        return syntax_tree.Procedure(self.cursor.line(first.start), start, name, local, body, error, undo)
 
-    def _block(self, ends: tuple[str, ...], depth: int) -> tuple[Statement, ...]:
+    def _block(self, ends: tuple[str, ...], depth: int) -> tuple[syntax_tree.Statement, ...]:
         if depth > MAX_BRACKETS:
             raise self.cursor.fault(f"at most {MAX_BRACKETS} nested blocks")
-        found: list[Statement] = []
+        found: list[syntax_tree.Statement] = []
         while not (self.cursor.token.kind == "end" or self._at(ends)):
             if self._at((*_CLOSING_WORDS, "local")):
                 break  # an inner block that was never closed; its owner says so
@@ -225,7 +214,7 @@ class Parser:
     def _at(self, words: tuple[str, ...]) -> bool:
         return self.cursor.token.kind == "name" and self.cursor.token.word in words
 
-    def _statement(self, depth: int) -> Statement:
+    def _statement(self, depth: int) -> syntax_tree.Statement:
         first = self.cursor.token
         line = self.cursor.line(first.start)
         if first.kind == "name":
@@ -248,33 +237,35 @@ class Parser:
             called = typed(expression(self.cursor, self.limits.string), "string")
             self.cursor.expect_symbol("%", "behind the name to call")
             self.cursor.expect_symbol(";", "behind the call")
-            return LateCall(line, first.start, called)
+            return syntax_tree.LateCall(line, first.start, called)
         raise self.cursor.fault("a statement")
 
-    def _named(self, line: int) -> Statement:
+    def _named(self, line: int) -> syntax_tree.Statement:
         first = self.cursor.take()
         if self.cursor.take_symbol(":="):
             value = expression(self.cursor, self.limits.string)
             self.cursor.expect_symbol(";", "behind the assignment")
-            return Assign(line, first.start, Name(first.start, first.text), value)
+            return syntax_tree.Assign(line, first.start, syntax_tree.Name(first.start, first.text), value)
         if not self.cursor.take_symbol(";"):
             raise self.cursor.fault(
                 f'";" or ":=" behind {shown(first.text)}, no instruction of the subset that takes arguments'
             )
-        return ProcCall(line, first.start, first.text)
+        return syntax_tree.ProcCall(line, first.start, first.text)
 
-    def _condition(self) -> tuple[Expr, str]:
+    def _condition(self) -> tuple[syntax_tree.Expr, str]:
         start = self.cursor.token.start
         found = expression(self.cursor, self.limits.string)
         return found, " ".join(self.text[start : self.cursor.end].split())
 
-    def _if(self, line: int, depth: int) -> Statement:
+    def _if(self, line: int, depth: int) -> syntax_tree.Statement:
         first = self.cursor.take()
         condition, source = self._condition()
         if self.cursor.take_word("then") is None:  # the short form: IF condition statement;
             if depth > MAX_BRACKETS:
                 raise self.cursor.fault(f"at most {MAX_BRACKETS} nested blocks")
-            return If(line, first.start, ((condition, (self._statement(depth + 1),)),), (), (source,))
+            return syntax_tree.If(
+                line, first.start, ((condition, (self._statement(depth + 1),)),), (), (source,)
+            )
         ends = ("elseif", "else", "endif")
         branches = [(condition, self._block(ends, depth + 1))]
         sources = [source]
@@ -285,17 +276,17 @@ class Parser:
             sources.append(source)
         otherwise = self._block(("endif",), depth + 1) if self.cursor.take_word("else") else ()
         self._close("endif", line)
-        return If(line, first.start, tuple(branches), otherwise, tuple(sources))
+        return syntax_tree.If(line, first.start, tuple(branches), otherwise, tuple(sources))
 
-    def _while(self, line: int, depth: int) -> Statement:
+    def _while(self, line: int, depth: int) -> syntax_tree.Statement:
         first = self.cursor.take()
         condition, source = self._condition()
         self.cursor.expect_word("do", "behind the condition of WHILE")
         body = self._block(("endwhile",), depth + 1)
         self._close("endwhile", line)
-        return While(line, first.start, condition, body, source)
+        return syntax_tree.While(line, first.start, condition, body, source)
 
-    def _for(self, line: int, depth: int) -> Statement:
+    def _for(self, line: int, depth: int) -> syntax_tree.Statement:
         first = self.cursor.take()
         name = self._new_name("loop counter")
         self.cursor.expect_word("from", "behind the loop counter")
@@ -306,7 +297,7 @@ class Parser:
         self.cursor.expect_word("do", "behind the range of FOR")
         body = self._block(("endfor",), depth + 1)
         self._close("endfor", line)
-        return For(line, first.start, name, start, last, step, body)
+        return syntax_tree.For(line, first.start, name, start, last, step, body)
 
     def _close(self, word: str, line: int) -> None:
         self.cursor.expect_word(word, f"that closes line {line}")
@@ -352,20 +343,6 @@ class Parser:
                 return
 
 
-__all__ = [
-    "Fault",
-    "Flow",
-    "FlowError",
-    "Limits",
-    "RapidText",
-    "flatten",
-    "flow",
-    "handlers",
-    "read_module",
-    "read_task",
-]
-
-
 _COMPARES = re.compile(
     r"(?is)(?<=PROC check_(?:cell|axes)\(\)).*?(?=^\s*ERROR\b)|^\s*PROC check_pose\b.*(?=^\s*ENDMODULE)",
     re.M,
@@ -380,7 +357,7 @@ def masked(text: str) -> str:
 
 def read_module(
     text: str | bytes, file: str = "", limits: Limits | None = None, quick: bool = True
-) -> tuple[Module | None, tuple[Fault, ...]]:
+) -> tuple[syntax_tree.Module | None, tuple[Fault, ...]]:
     """One module and its faults of syntax and size (names of other modules are checked by `read_task`).
 
     `quick=False` reads every move the ordinary way; it gives the same result and is there to prove that.
@@ -411,7 +388,7 @@ MOST_KEPT = 32_768
 
 
 @functools.lru_cache(maxsize=32)
-def _kept(text: str, file: str, limits: Limits | None) -> tuple[Module | None, tuple[Fault, ...]]:
+def _kept(text: str, file: str, limits: Limits | None) -> tuple[syntax_tree.Module | None, tuple[Fault, ...]]:
     """:func:`read_module`, remembered: of programs that differ in one module the others are read once."""
     return read_module(text, file, limits)
 
@@ -424,7 +401,7 @@ def read_task(
 
     Modules that are loaded while the task runs belong to `files` too.
     """
-    modules: list[Module] = []
+    modules: list[syntax_tree.Module] = []
     faults: list[Fault] = []
     names: dict[str, str] = {}
     for file, text in files.items():

@@ -5,13 +5,14 @@ from __future__ import annotations
 import functools
 from typing import Final
 
+from planner.languages.rapid.reader.flow import Flow, flow
 from planner.languages.rapid.reader.partial import MOVE_PATTERN, read_partly
 from planner.languages.rapid.reader.program_text import RapidText
-from planner.languages.rapid.reader.reader import MOST_KEPT, Flow, FlowError, Limits, flow, read_task
+from planner.languages.rapid.reader.reader import MOST_KEPT, Limits, read_task
 from planner.problem import Problem
 from planner.programs.language import Arms, Files, Reader, ReadTasks, Sharing
 from planner.programs.stages import TaskText
-from planner.programs.steps import Fault
+from planner.programs.steps import Fault, FlowError
 
 
 def _followed(

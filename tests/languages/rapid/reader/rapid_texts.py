@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from planner.languages.rapid.reader.reader import flatten, read_task
+from planner.languages.rapid.reader.flow import flatten
+from planner.languages.rapid.reader.reader import read_task
 
 HEAD = """MODULE Left
   ! made for a test

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from planner.languages.rapid.reader.reader import Limits, flatten, read_module, read_task
+from planner.languages.rapid.reader.flow import flatten
+from planner.languages.rapid.reader.reader import Limits, read_module, read_task
 from planner.programs.steps import MoveStep
 from tests.languages.rapid.reader.rapid_texts import FULL, HEAD, MOVE, faults, program
 

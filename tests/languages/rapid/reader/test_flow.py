@@ -1,6 +1,7 @@
 """What a task does and may do: the same however it is split, with work that grows as its length."""
 
-from planner.languages.rapid.reader.reader import flatten, flow, handlers, read_task
+from planner.languages.rapid.reader.flow import flatten, flow, handlers
+from planner.languages.rapid.reader.reader import read_task
 from planner.programs.steps import MoveStep
 from tests.work import counted
 

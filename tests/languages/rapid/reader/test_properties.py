@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.languages.rapid.reader.reader import Fault, FlowError, flatten, handlers, read_module, read_task
+from planner.languages.rapid.reader.flow import flatten, handlers
+from planner.languages.rapid.reader.reader import read_module, read_task
 from planner.languages.rapid.reader.syntax_tree import Data, Literal, Move
+from planner.programs.steps import Fault, FlowError
 from tests.languages.rapid.reader.rapid_texts import FULL, codes, faults, program
 
 NUMBERS = st.one_of(

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.languages.rapid.reader.reader import FlowError, flatten, handlers, read_module, read_task
+from planner.languages.rapid.reader.flow import flatten, handlers
+from planner.languages.rapid.reader.reader import read_module, read_task
 from planner.languages.rapid.reader.syntax_tree import PREDEFINED
 from planner.programs.steps import (
     ChoiceStep,
+    FlowError,
     JointTarget,
     LoadStep,
     MessageStep,
