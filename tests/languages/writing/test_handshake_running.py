@@ -9,8 +9,8 @@ import pytest
 
 from planner.claims import sentences
 from planner.claims.handshake import PartnerSignals
-from planner.languages.krl.writer import running_wire as krl_running_wire
-from planner.languages.rapid.writer import running_wire as rapid_running_wire
+from planner.languages.krl.writer import controller_files as krl_files
+from planner.languages.rapid.writer import controller_files as rapid_files
 from planner.languages.writing import handshake, write
 from planner.targets import Action
 from tests.languages.writing import krl_job, synthetic
@@ -46,7 +46,7 @@ def cycle(lines, signals):
 
 def test_a_kuka_controller_may_be_started_first_and_stops_when_its_partner_does():
     controller = krl_job.two((ABB, KUKA))[1].cell.controller
-    lines = krl_running_wire.krl_submit_lines(controller, "right")
+    lines = krl_files.krl_submit_lines(controller, "right")
     now = {"TANDEM_SEEN": False}
 
     def then(**signals):
@@ -67,11 +67,11 @@ def test_a_kuka_controller_may_be_started_first_and_stops_when_its_partner_does(
     )  # stopped: one side may be started again
     assert then(act=True, ready=True, partner=False) == (True, True)
     assert then(act=True, ready=False, partner=True) == (False, True)  # drives off
-    assert krl_running_wire.krl_power_term(controller, "right") == "$IN[2]"
+    assert krl_files.krl_power_term(controller, "right") == "$IN[2]"
 
 
 def test_an_abb_controller_drives_its_wire_from_the_system_and_stops_by_the_other_ones():
-    rows = rapid_running_wire.rapid_running_rows(krl_job.two((ABB, KUKA))[1].cell.controller, "left")
+    rows = rapid_files.rapid_running_rows(krl_job.two((ABB, KUKA))[1].cell.controller, "left")
     own, other = rows["EIO_CROSS"]
     assert own["Res"] == "doRunning"
     assert (own["Act1"], own["Oper1"], own["Act2"]) == ("soCycleOn", "AND", "soMotorsOn")
@@ -82,7 +82,7 @@ def test_an_abb_controller_drives_its_wire_from_the_system_and_stops_by_the_othe
     longest = dataclasses.replace(PartnerSignals(), partner_running="d" * 24)
     assert len(longest.lost) <= 32
     assert (
-        rapid_running_wire.rapid_power_term(krl_job.two((ABB, KUKA))[1].cell.controller, "left")
+        rapid_files.rapid_power_term(krl_job.two((ABB, KUKA))[1].cell.controller, "left")
         == "diPartnerRunning"
     )
 

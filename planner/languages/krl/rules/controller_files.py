@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
-from planner.languages.krl.reader.lines import krl_lines
 from planner.problem import Controller
 from planner.proof.language_contribution import ControllerPower
 
@@ -58,3 +58,11 @@ def _power_files(
     submit = [f"IF NOT({runs}) THEN", *back, "ENDIF"] if signals else []
     submit += [*(ended if "TANDEM_LIT" in known else []), *follow, *(held if "TANDEM_CUT" in known else [])]
     return known, submit, [*back, *(f"$OUT[{out}]=FALSE" for out in real.values() if out is not None)]
+
+
+def krl_lines(text: str) -> list[str]:
+    """Statements of KRL text, without comments and folds, in capitals and without the spaces that count for
+    nothing."""
+    lines = (re.sub(r";.*", "", line) for line in text.replace("\r\n", "\n").split("\n"))
+    tight = (re.sub(r"\s*([=(),\[\]])\s*", r"\1", " ".join(line.split())) for line in lines)
+    return [line.upper() for line in tight if line]

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.claims.handshake import SignalWire
 from planner.issues import Issue, Severity
-from planner.languages.krl.writer import running_wire, spline_blocks
+from planner.languages.krl.writer import spline_blocks
 from planner.languages.krl.writer.data import Data, near_zero
 from planner.languages.writing import handshake
 from planner.languages.writing.layout import TaskProgram
@@ -25,6 +25,10 @@ POWER_FLAG: Final = "TANDEM_CUT"
 """The variable of a controller that says that a wire or tool was on when the program stopped."""
 TORCH_FLAG: Final = "TANDEM_LIT"
 """That a torch burned then."""
+KRL_PARTNER_SEEN: Final = "TANDEM_SEEN"
+"""The variable of a KUKA controller that says that both programs have run since the last stop."""
+KRL_RUNS: Final = "$PRO_ACT AND $PERI_RDY"
+"""That a program runs with the drives on."""
 
 
 def files(
@@ -36,11 +40,11 @@ def files(
 ) -> dict[str, str]:
     """The files, by name, for the controller of ``arm`` whose program switches ``signals``; ``wires``: the
     running wires between it and another controller; ``torches``: those signals that light one."""
-    runs = running_wire.KRL_RUNS + (f" AND {running_wire.krl_power_term(controller, arm)}" if wires else "")
+    runs = KRL_RUNS + (f" AND {krl_power_term(controller, arm)}" if wires else "")
     numbers = {signal: controller.number(arm, signal) for signal in signals}
     flags = {signal: TORCH_FLAG if signal in torches else POWER_FLAG for signal in signals}
     taken = [line for signal, number in numbers.items() for line in _taken(number, flags[signal])]
-    submit = running_wire.krl_submit_lines(controller, arm) if wires else []
+    submit = krl_submit_lines(controller, arm) if wires else []
     submit += [f"IF NOT ({runs}) THEN", *taken, "ENDIF"] if taken else []
     submit += _ended([numbers[signal] for signal in torches]) if torches else []
     for signal, number in numbers.items():
@@ -49,7 +53,7 @@ def files(
             submit.append(f"$OUT[{real}]=$OUT[{number}] AND {runs}")
     kept = [flag for flag in (POWER_FLAG, TORCH_FLAG) if flag in flags.values()]
     submit += [f"IF {POWER_FLAG} THEN", "$OV_PRO=0", "ENDIF"] if POWER_FLAG in kept else []
-    variables = kept + ([running_wire.KRL_PARTNER_SEEN] if wires else [])
+    variables = kept + ([KRL_PARTNER_SEEN] if wires else [])
     out = {
         "config_user.dat": _text([f"DECL BOOL {name}=FALSE" for name in variables]),
         "sps_user.sub": _text(submit),
@@ -60,6 +64,32 @@ def files(
         off = [f"$OUT[{number}]=FALSE" for number in outputs if number is not None]
         out["ir_stopm_user.src"] = _text([*taken, *off])
     return out | {"README.txt": _readme(controller, arm, signals, wires, torches)}
+
+
+def krl_power_term(controller: Controller, arm: str) -> str:
+    """The further AND term of the power of a KUKA arm's controller."""
+    return f"$IN[{controller.number(arm, controller.handshake.of(arm).partner_running)}]"
+
+
+def krl_submit_lines(controller: Controller, arm: str) -> list[str]:
+    """Lines for the cycle of the submit interpreter of a KUKA arm's controller.
+
+    $MOVE_ENABLE looks at the level of its input and holds a start up too, so a controller whose partner has
+    not run yet would never start: the wire counts from the first time on that both are seen to run.
+    """
+    own = controller.handshake.of(arm)
+    out, enable = controller.number(arm, own.running), controller.number(arm, own.move_enable)
+    given = krl_power_term(controller, arm)
+    return [
+        f"$OUT[{out}]={KRL_RUNS} ; {own.running}",
+        "IF NOT $PRO_ACT THEN",
+        f"{KRL_PARTNER_SEEN}=FALSE",
+        "ENDIF",
+        f"IF $PRO_ACT AND {given} THEN ; {own.partner_running}",
+        f"{KRL_PARTNER_SEEN}=TRUE",
+        "ENDIF",
+        f"$OUT[{enable}]={given} OR NOT {KRL_PARTNER_SEEN} ; {own.move_enable}",
+    ]
 
 
 def _taken(number: int | None, flag: str) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 from planner.claims import sentences
-from planner.languages.rapid.reader.same_text import same_text
 from planner.languages.rapid.rules import (
     cell_check,
     confdata,
@@ -31,7 +30,7 @@ PROOF: Final = ProofOfLanguage(
         "verify.unknown_start": moves.unknown_start,
     },
     job_checks={"verify.files": text.program_lists},
-    same_text=same_text,
+    same_text=text.same_text,
     targets_in=text.targets_in,
     start=StartSentences(joined=sentences.NO_WIRE),
     external_axes=ExternalAxes(

@@ -13,6 +13,7 @@ from typing import Final
 from xml.etree import ElementTree as ET
 
 from planner.issues import Issue
+from planner.languages.rapid.reader.lexer import Cursor
 from planner.languages.rapid.reader.program_text import modules_of
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep
@@ -38,6 +39,26 @@ def targets_in(text: str) -> Iterator[tuple[int, bool]]:
 
 def _digits(number: str) -> int:
     return len(number.strip().upper().partition("E")[0].lstrip("+-0.").replace(".", ""))
+
+
+def _lines(content: str) -> list[str]:
+    """The lines that hold more than a comment: no string, the only other place for a !, goes over a line's
+    end."""
+    lines = (line.strip(" \t\r") for line in content.split("\n"))
+    return [line for line in lines if line and not line.startswith("!")]
+
+
+def same_text(first: str, second: str) -> bool:
+    """Return whether two texts differ in comments and white space at most."""
+    return _lines(first) == _lines(second) or _words(first) == _words(second)
+
+
+def _words(content: str) -> list[str]:
+    cursor, out = Cursor(content), []
+    while cursor.token.kind not in ("end", "bad"):
+        out.append(cursor.token.word or cursor.token.text)
+        cursor.take()
+    return [*out, cursor.token.kind]
 
 
 def shared_persistents(context: Context, task: TaskText) -> Outcome:

@@ -14,8 +14,6 @@ from typing import Final, Literal
 from planner.claims import sentences
 from planner.claims.handshake import SignalWire
 from planner.languages.rapid import sentences as rapid_sentences
-from planner.languages.rapid.writer import running_wire
-from planner.languages.rapid.writer.running_wire import ConfigurationRow
 from planner.languages.rapid.writer.syntax import identifier, quoted
 from planner.languages.writing import handshake
 from planner.problem import Controller
@@ -34,6 +32,8 @@ SignalType = Literal["DI", "DO"]
 """What a controller calls a digital input and a digital output."""
 _CONFIG_WIDTH: Final = 80
 """Lines of a configuration file are broken at so many characters."""
+ConfigurationRow = Mapping[str, str | None]
+"""An instance of a type of ABB's configuration: values by attribute, None for one without a value."""
 
 
 def files(
@@ -54,8 +54,7 @@ def files(
     suffix = ".sys" if controller.robotware == 6 else ".sysx"
     more = {identifier(name): kind for name, kind in others.items()}
     named: list[ConfigurationRow] = [
-        {"Name": name, "SignalType": kind, **running_wire.placed(controller, arms, name)}
-        for name, kind in more.items()
+        {"Name": name, "SignalType": kind, **placed(controller, arms, name)} for name, kind in more.items()
     ]
     out = {"EIO.cfg": _eio(controller, requests, lit, arm, bool(wires), named)}
     if requests:
@@ -73,8 +72,8 @@ def _eio(
     named: Sequence[ConfigurationRow],
 ) -> str:
     lock = controller.interlock
-    partner = [running_wire.rapid_power_term(controller, arm)] if joined else []
-    more = running_wire.rapid_running_rows(controller, arm) if joined else {}
+    partner = [rapid_power_term(controller, arm)] if joined else []
+    more = rapid_running_rows(controller, arm) if joined else {}
     signals: list[ConfigurationRow] = []
     crossed: list[ConfigurationRow] = []
     for number, request in enumerate(requests, 1):
@@ -128,6 +127,48 @@ def _sys(controller: Controller, tasks: Sequence[str], suffix: str, torch: bool)
     ]
     head = f"SYS:CFG_1.0:{controller.robotware}:0::"
     return _cfg(head, {"CAB_TASK_MODULES": loaded, "CAB_EXEC_HOOKS": hooks})
+
+
+def rapid_power_term(controller: Controller, arm: str) -> str:
+    """The further AND term of the power of an ABB arm's controller: the input from the other one."""
+    return identifier(controller.handshake.of(arm).partner_running)
+
+
+def rapid_running_rows(controller: Controller, arm: str) -> dict[str, list[ConfigurationRow]]:
+    """Rows of EIO.cfg by type, for the controller of an ABB arm; the outputs of the system that say that a
+    program runs and motors are on are declared beside them.
+
+    Seen in backups of real cells: SYSSIG_OUT of CycleOn into EIO_CROSS. From public tools that write such
+    files: -Act1_invert, SYSSIG_IN. From memory: the action Stop, and that it acts on the rising edge.
+    """
+    own, lock = controller.handshake.of(arm), controller.interlock
+    running, given, lost = identifier(own.running), identifier(own.partner_running), identifier(own.lost)
+    out, into = (placed(controller, [arm], name) for name in (own.running, own.partner_running))
+    return {
+        "EIO_SIGNAL": [
+            {"Name": running, "SignalType": "DO", **out, "Access": "ReadOnly"},
+            {"Name": given, "SignalType": "DI", **into},
+            {"Name": lost, "SignalType": "DI"},
+        ],
+        "SYSSIG_IN": [{"Signal": lost, "Action": "Stop"}],
+        "EIO_CROSS": [
+            {
+                "Name": "TandemRunning",
+                "Res": running,
+                "Act1": identifier(lock.cycle),
+                "Oper1": "AND",
+                "Act2": identifier(lock.motors),
+            },
+            {"Name": "TandemPartner", "Res": lost, "Act1": given, "Act1_invert": None},
+        ],
+    }
+
+
+def placed(controller: Controller, arms: Sequence[str], signal: str) -> dict[str, str]:
+    """Device and bit of a signal at the controller of these arms; none where the cell states none."""
+    places = (controller.interlock.place(arm, signal) for arm in arms)
+    place = next((place for place in places if place is not None), None)
+    return {"Device": place.device, "DeviceMap": str(place.bit)} if place else {}
 
 
 def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:

@@ -12,7 +12,7 @@ import types
 import numpy as np
 import pytest
 
-from planner.languages.krl.reader.lines import krl_lines
+from planner.languages.krl.rules.controller_files import krl_lines
 from planner.languages.krl.writer import controller_files as krl_files
 from planner.languages.rapid.reader.configuration import rapid_words
 from planner.languages.rapid.rules import power_at_stops
