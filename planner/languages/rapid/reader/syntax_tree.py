@@ -212,29 +212,9 @@ _CONVERTERS: dict[str, Callable[[Any], Value]] = {
 _UNIT_POSE = [[0, 0, 0], [1, 0, 0, 0]]
 """The pose that moves nothing."""
 _SPEEDS_MM_S = (
-    5,
-    10,
-    20,
-    30,
-    40,
-    50,
-    60,
-    80,
-    100,
-    150,
-    200,
-    300,
-    400,
-    500,
-    600,
-    800,
-    1000,
-    1500,
-    2000,
-    2500,
-    3000,
+    "5 10 20 30 40 50 60 80 100 150 200 300 400 500 600 800 1000 1500 2000 2500 3000 4000 5000 6000 7000"
 )
-"""Predefined speeds of the TCP [mm/s], up to v3000."""
+"""Predefined speeds of the TCP [mm/s]: v5 to v7000."""
 _ZONES_MM = {
     0: (0.3, 0.3, 0.03),
     1: (1, 1, 0.1),
@@ -248,10 +228,21 @@ _ZONES_MM |= {30: (30, 45, 4.5), 40: (40, 60, 6), 50: (50, 75, 7.5), 60: (60, 90
 _ZONES_MM |= {100: (100, 150, 15), 150: (150, 225, 23), 200: (200, 300, 30)}
 
 
+_NUMBERED = {
+    "resunkwn resok resabort resretry resignore rescancel resyes resno": 0,
+    "btnnone btnok btnabrtrtryign btnokcancel btnretrycancel btnyesno btnyesnocancel": -1,
+    "iconnone iconinfo iconwarning iconerror": 0,
+}
+"""Answers, buttons and icons of message boxes: each one's number is one more than that of the one before,
+with the number of the first."""
+_ERRORS = "err_wait_maxtime err_path_stop err_robmove err_refunkprc err_filnotfnd err_ioenable"
+"""Numbers of errors, which the controller alone knows."""
+
+
 def _predefined() -> dict[str, tuple[str, Value]]:
     table: dict[str, tuple[str, Value]] = {
         f"v{v}": ("speeddata", build("speeddata", [v, 500, 5000, 1000]))
-        for v in (*_SPEEDS_MM_S, 4000, 5000, 6000, 7000)
+        for v in map(int, _SPEEDS_MM_S.split())
     }
     # vmax is the robot's own highest TCP speed: the instruction sets no limit
     table["vmax"] = ("speeddata", steps.Speed(math.inf, math.radians(500), 5.0, math.radians(1000)))
@@ -262,32 +253,11 @@ def _predefined() -> dict[str, tuple[str, Value]]:
     table["load0"] = ("loaddata", build("loaddata", load))
     table["tool0"] = ("tooldata", build("tooldata", [True, _UNIT_POSE, load]))
     table["wobj0"] = ("wobjdata", build("wobjdata", [False, True, "", _UNIT_POSE, _UNIT_POSE]))
-    answers = ("resunkwn", "resok", "resabort", "resretry", "resignore", "rescancel", "resyes", "resno")
-    buttons = (
-        "btnnone",
-        "btnok",
-        "btnabrtrtryign",
-        "btnokcancel",
-        "btnretrycancel",
-        "btnyesno",
-        "btnyesnocancel",
-    )
-    table |= {name: ("num", float(number)) for number, name in enumerate(answers)}
-    table |= {name: ("num", float(number)) for number, name in enumerate(buttons, -1)}
-    table |= {
-        name: ("num", float(n)) for n, name in enumerate(("iconnone", "iconinfo", "iconwarning", "iconerror"))
-    }
+    for names, first in _NUMBERED.items():
+        table |= {name: ("num", float(number)) for number, name in enumerate(names.split(), first)}
     table |= {"pi": ("num", 3.141592654), "high": ("num", 1.0), "low": ("num", 0.0), "edge": ("num", 2.0)}
     table |= {"stempty": ("string", ""), "diskhome": ("string", "HOME:"), "errno": ("num", None)}
-    errors = (
-        "err_wait_maxtime",
-        "err_path_stop",
-        "err_robmove",
-        "err_refunkprc",
-        "err_filnotfnd",
-        "err_ioenable",
-    )
-    table |= dict.fromkeys(errors, ("num", None))
+    table |= dict.fromkeys(_ERRORS.split(), ("num", None))
     return table
 
 
