@@ -266,8 +266,8 @@ def plain(text: str) -> str:
 
 
 def mark(segment: Segment) -> str:
-    """The label by which a comment of KRL and URScript says which segment begins; names that have more than
-    letters, digits and underscores as programs can tell them."""
+    """The label by which a program says which segment begins, where no procedure does; names that have more
+    than letters, digits and underscores as programs can tell them."""
     label = str(segment)
     return label if re.fullmatch(r"[\w/]+", label, re.ASCII) else segment.key
 

@@ -230,7 +230,7 @@ class _Main:
             raise TandemError(Issue("post.trajectory", message, arm=arms[0], hint=hint)) from None
         self.runs.setdefault(runs[0].operation, []).append((lead.targets[some], passed(driven[0], q, made)))
         begun = self._move(arms)
-        labels = [rows.label(lead.segments[first + row]) for row in made.end[1:].tolist()]
+        labels = [layout.mark(lead.segments[first + row]) for row in made.end[1:].tolist()]
         self._points(made, begun, arms, labels)
 
     def _points(self, made: Curve, begun: float, arms: Sequence[str], labels: Sequence[str]) -> None:

@@ -11,7 +11,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
-from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, log_rotation
 from planner.issues import Issue, TandemError
 from planner.languages.writing.layout import LINE_END, number, plain
@@ -59,12 +58,6 @@ def name(value: str) -> str:
 def stem(problem: str) -> str:
     """The file's name without its ending, from the problem's. Raises as :func:`name`."""
     return name(re.sub(r"[^a-z0-9]+", "_", plain(problem).lower()).strip("_")[:60].strip("_"))
-
-
-def label(segment: Segment) -> str:
-    """The label of a segment, in ASCII."""
-    own = str(segment)
-    return own if re.fullmatch(r"[\w/]+", own, re.ASCII) else segment.key
 
 
 def numbers(values: Iterable[float], decimals: int) -> Written:
