@@ -179,8 +179,9 @@ def test_texts_to_the_operator_fit_the_panel() -> None:
         *texts.NOTHING_MOVES,
         *texts.REFUSED,
     ]
-    lines += [texts.base_of(name)]
-    lines += [f("w_stock_100") for f in (texts.object_frame_of, texts.user_frame_of, texts.kind_of)]
+    lines += [texts.BASE_OF.filled(arm=name)]
+    compared = (texts.OBJECT_FRAME_OF, texts.USER_FRAME_OF, texts.HOLDER_OF)
+    lines += [sentence.filled(name="w_stock_100") for sentence in compared]
     assert max(map(len, lines)) <= STRING_LENGTH // 2
     assert max(map(len, texts.again(signal))) <= BOX_LINE
     assert len(texts.again(signal)) <= 11

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from planner.claims.sentences import Sentence
+
 BUTTONS: Final = ("Free", "On", "Stop")
 """Answers to :func:`again`: nothing stands in the way of what follows; power is on again; neither."""
 OFF_BY_MM: Final = "is off by [mm]"
@@ -52,31 +54,10 @@ def burned(signal: str) -> tuple[str, ...]:
     )
 
 
-def base_of(arm: str) -> str:
-    """What is compared: the base frame of an arm."""
-    return f"Base of arm {arm}"
-
-
-def frame_of(name: str) -> str:
-    """What is compared: the frame of a tool."""
-    return f"Frame of {name}"
-
-
-def user_frame_of(name: str) -> str:
-    """What is compared: the user frame of a work object."""
-    return f"User frame of {name}"
-
-
-def object_frame_of(name: str) -> str:
-    """What is compared: the object frame of a work object."""
-    return f"Object frame of {name}"
-
-
-def axis_of(unit: str) -> str:
-    """What is compared: where a track or turntable stands."""
-    return f"Axis {unit}"
-
-
-def kind_of(name: str) -> str:
-    """What is compared: who holds a tool or a work object."""
-    return f"Holder of {name}"
+BASE_OF: Final = Sentence("Base of arm {arm}")
+FRAME_OF: Final = Sentence("Frame of {name}")
+USER_FRAME_OF: Final = Sentence("User frame of {name}")
+OBJECT_FRAME_OF: Final = Sentence("Object frame of {name}")
+HOLDER_OF: Final = Sentence("Holder of {name}")
+AXIS_OF: Final = Sentence("Axis {unit}")
+"""What is compared: frames, who holds a tool or a work object, and where a track or turntable stands."""

@@ -121,7 +121,8 @@ def _axes_wanted(axes: Sequence[OuterAxis]) -> list[str]:
     """What that procedure has to look at."""
     text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
     for axis in sorted(axes, key=lambda one: one.column):
-        here, name = f"cfg_here.extax.eax_{'abcdef'[axis.column]}", rapid_sentences.axis_of(axis.unit)
+        here = f"cfg_here.extax.eax_{'abcdef'[axis.column]}"
+        name = rapid_sentences.AXIS_OF.filled(unit=axis.unit)
         home = f"{axis.home / axis.scale:.4f}"
         home = home.removeprefix("-") if float(home) == 0.0 else home
         text += f'check_axis "{name}",{here},{home},{OFF_HOME[axis.sign]:g};'
@@ -155,7 +156,7 @@ def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
     for part in range(4):
         read += f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;'
         read += f"cfg_base.rot.q{part + 1}:=cfg_value;"
-    calls = f'check_pose "{rapid_sentences.base_of(task.arm.name)}",cfg_base,{BASE_FRAME};'
+    calls = f'check_pose "{rapid_sentences.BASE_OF.filled(arm=task.arm.name)}",cfg_base,{BASE_FRAME};'
     for data in (data for module in modules_of(task.text) for data in module.data):
         if not isinstance(data.initial, Literal) or data.kind not in ("tooldata", "wobjdata"):
             continue
@@ -166,12 +167,12 @@ def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
 def _compared(name: str, kind: str, value: Sequence[str]) -> str:
     """Comparisons of a declared tool or work object, whose parts are ``value`` as text."""
     if kind == "tooldata":
-        text = f'check_pose "{rapid_sentences.frame_of(name)}",{name}.tframe,{value[1]};'
-        return text + f'check_true "{rapid_sentences.kind_of(name)}",{name}.robhold;'
-    text = f'check_pose "{rapid_sentences.object_frame_of(name)}",{name}.oframe,{value[4]};'
-    who = f'check_true "{rapid_sentences.kind_of(name)}",NOT {name}.robhold AND '
+        text = f'check_pose "{rapid_sentences.FRAME_OF.filled(name=name)}",{name}.tframe,{value[1]};'
+        return text + f'check_true "{rapid_sentences.HOLDER_OF.filled(name=name)}",{name}.robhold;'
+    text = f'check_pose "{rapid_sentences.OBJECT_FRAME_OF.filled(name=name)}",{name}.oframe,{value[4]};'
+    who = f'check_true "{rapid_sentences.HOLDER_OF.filled(name=name)}",NOT {name}.robhold AND '
     if value[1].upper() == "TRUE":
-        text += f'check_pose "{rapid_sentences.user_frame_of(name)}",{name}.uframe,{value[3]};'
+        text += f'check_pose "{rapid_sentences.USER_FRAME_OF.filled(name=name)}",{name}.uframe,{value[3]};'
         return text + f"{who}{name}.ufprog;"
     return text + f"{who}NOT {name}.ufprog AND {name}.ufmec={value[2]};"
 

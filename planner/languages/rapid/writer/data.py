@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -223,10 +223,10 @@ def check_procedures(
     for part in range(4):
         out += [f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;']
         out += [f"cfg_base.rot.q{part + 1}:=cfg_value;"]
-    out += [_pose(rapid_sentences.base_of(task.arm.name), "cfg_base", "base_frame")]
+    out += [_pose(rapid_sentences.BASE_OF.filled(arm=task.arm.name), "cfg_base", "base_frame")]
     for name, matrix in {tools.of(op.arm.tool): op.arm.tool.tcp for op in task.operations}.items():
-        out += [_pose(rapid_sentences.frame_of(name), f"{name}.tframe", pose(matrix))]
-        out += [f"check_true {quoted(rapid_sentences.kind_of(name))},{name}.robhold;"]
+        out += [_pose(rapid_sentences.FRAME_OF.filled(name=name), f"{name}.tframe", pose(matrix))]
+        out += [f"check_true {quoted(rapid_sentences.HOLDER_OF.filled(name=name))},{name}.robhold;"]
     return [*out, *_wobj_checks(task, job, plan)]
 
 
@@ -238,17 +238,18 @@ def _wobj_checks(task: layout.TaskProgram, job: layout.Job, plan: Plan) -> list[
             continue
         frame = operation.track.frame
         name = wobj_name(frame, operation.setup)
-        kind = quoted(rapid_sentences.kind_of(name))
+        kind = quoted(rapid_sentences.HOLDER_OF.filled(name=name))
         if frame == "stock":
             place, inner = pose(plan.places[operation.setup - 1]), pose(np.eye(4))
-            lines = [_pose(rapid_sentences.user_frame_of(name), f"{name}.uframe", place)]
+            lines = [_pose(rapid_sentences.USER_FRAME_OF.filled(name=name), f"{name}.uframe", place)]
             lines += [f"check_true {kind},NOT {name}.robhold AND {name}.ufprog;"]
         else:
             holder = next(t for t in job.tasks if t.arm.name == frame.removeprefix("held:"))
             inner = pose(holder.operations[index].arm.tool.tcp)
             moved = f"NOT {name}.robhold AND NOT {name}.ufprog AND {name}.ufmec={quoted(holder.unit)}"
             lines = [f"check_true {kind},{moved};"]
-        out[name] = [_pose(rapid_sentences.object_frame_of(name), f"{name}.oframe", inner), *lines]
+        what = rapid_sentences.OBJECT_FRAME_OF.filled(name=name)
+        out[name] = [_pose(what, f"{name}.oframe", inner), *lines]
     return [line for lines in out.values() for line in lines]
 
 
@@ -270,7 +271,7 @@ def axes_checks(task: layout.TaskProgram) -> list[str]:
     out = ["VAR jointtarget cfg_here;", "cfg_here:=CJointT();"]
     for column, home in task.home_station:
         label, sign = outer_names(task)[column]
-        name = quoted(rapid_sentences.axis_of(label))
+        name = quoted(rapid_sentences.AXIS_OF.filled(unit=label))
         value = f"cfg_here.extax.eax_{'abcdef'[column]}"
         out.append(f"check_axis {name},{value},{layout.number(home, OUTER_DECIMALS)},{AXIS_AWAY[sign]};")
     return out
@@ -325,8 +326,3 @@ def helpers(together: bool, axes: bool) -> list[str]:
         "  ENDWHILE",
         "ENDPROC",
     ]
-
-
-def lines(procedures: Sequence[str], together: bool, axes: bool) -> list[str]:
-    """The module's lines: :data:`CELL_CHECK` and, with ``axes``, :data:`AXES_CHECK`, and what they call."""
-    return [*procedures, "", *helpers(together, axes)]

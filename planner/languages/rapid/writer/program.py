@@ -298,7 +298,7 @@ class _Task:
         axes = rapid_data.axes_checks(task)
         if axes:
             out += ["", *self._procedure(rapid_data.AXES_CHECK, axes)]
-        return rapid_data.lines(out, together, bool(axes))
+        return [*out, "", *rapid_data.helpers(together, bool(axes))]
 
     def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
         body = comment(f"Operation {operation.name}.")
