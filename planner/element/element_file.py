@@ -100,82 +100,68 @@ class SurfaceFile(FrontFile):
 class ElasticFile(Strict):
     """Panels whose faces a bent wire cuts."""
 
-    tolerance_mm: Annotated[
-        float, Field(ge=LEAST_TOLERANCE_MM, le=50, description="of panels to the surface")
-    ]
-    joint_mm: Annotated[
-        float, Field(ge=0.01, le=50, description="step between neighbours at 95 % of a joint's points")
-    ] = 0.2
-    cells: Annotated[
-        tuple[
-            Annotated[int, Field(ge=1, le=MOST_CELLS)],
-            Annotated[int, Field(ge=1, le=MOST_CELLS)],
-        ]
-        | None,
-        Field(description="cut lines may lie between them; none: 24 along the longer side"),
-    ] = None
-    ends_mm: Annotated[
-        float, Field(ge=5, le=1000, description="of the wire, free of the panel at each end")
-    ] = 80.0
-    end_error_mm: Annotated[
-        float, Field(ge=0, le=5, description="how far each wire end may be off in reality")
-    ] = 0.05
-    end_weight: Annotated[
-        float, Field(ge=1, le=1000, description="weight of the ends of sections in the fit")
-    ] = 100.0
-    check: Annotated[
-        Literal["none", "held", "wire", "all"],
-        Field(
-            description="panels are struck off in which no wire is held safely, whose job refuses the wire, "
-            "or that any part of tandem check refuses"
-        ),
-    ] = "none"
+    tolerance_mm: float = Field(ge=LEAST_TOLERANCE_MM, le=50, description="of panels to the surface")
+    joint_mm: float = Field(
+        default=0.2, ge=0.01, le=50, description="step between neighbours at 95 % of a joint's points"
+    )
+    cells: (
+        tuple[Annotated[int, Field(ge=1, le=MOST_CELLS)], Annotated[int, Field(ge=1, le=MOST_CELLS)]] | None
+    ) = Field(default=None, description="cut lines may lie between them; none: 24 along the longer side")
+    ends_mm: float = Field(
+        default=80.0, ge=5, le=1000, description="of the wire, free of the panel at each end"
+    )
+    end_error_mm: float = Field(
+        default=0.05, ge=0, le=5, description="how far each wire end may be off in reality"
+    )
+    end_weight: float = Field(
+        default=100.0, ge=1, le=1000, description="weight of the ends of sections in the fit"
+    )
+    check: Literal["none", "held", "wire", "all"] = Field(
+        default="none",
+        description="panels are struck off in which no wire is held safely, whose job refuses the wire, "
+        "or that any part of tandem check refuses",
+    )
 
 
 class HexagonsFile(Strict):
     """Thick planar panels that a straight wire cuts out of held blocks."""
 
-    count: Annotated[int, Field(ge=LEAST_COUNT, le=MOST_COUNT, description="of panels")]
-    shape: Annotated[
-        Shape,
-        Field(
-            description="most panels have six sides, or four, in rows along conjugate directions: then the "
-            "count is the nearest that such rows make"
-        ),
-    ] = "hexagon"
-    least_edge_mm: Annotated[float, Field(ge=1, le=1000, description="of either face")] = 50.0
-    least_width_mm: Annotated[float, Field(ge=0, le=2000, description="of either face, across")] = 100.0
-    off_surface_mm: Annotated[float, Field(gt=0, le=1000, description="of fronts to the surface")] = 30.0
-    rim: Annotated[Rim, Field(description="sides on the rim: square to their panels, or upright")] = "square"
-    ground_mm: Annotated[
-        Far | None, Field(description="height on which a rim stands, with a level side there")
-    ] = None
+    count: int = Field(ge=LEAST_COUNT, le=MOST_COUNT, description="of panels")
+    shape: Shape = Field(
+        default="hexagon",
+        description="most panels have six sides, or four, in rows along conjugate directions: then the "
+        "count is the nearest that such rows make",
+    )
+    least_edge_mm: float = Field(default=50.0, ge=1, le=1000, description="of either face")
+    least_width_mm: float = Field(default=100.0, ge=0, le=2000, description="of either face, across")
+    off_surface_mm: float = Field(default=30.0, gt=0, le=1000, description="of fronts to the surface")
+    rim: Rim = Field(default="square", description="sides on the rim: square to their panels, or upright")
+    ground_mm: Far | None = Field(
+        default=None, description="height on which a rim stands, with a level side there"
+    )
 
 
 class BoxesFile(Strict):
     """Panels of a ruled wall with four sides, in strips along it."""
 
-    least_height_mm: Annotated[float, Field(ge=20, le=2000, description="of panels, along the wall")] = 100.0
+    least_height_mm: float = Field(default=100.0, ge=20, le=2000, description="of panels, along the wall")
 
 
 class PuzzleFile(Strict):
     """Panels of a ruled wall in cells, with round lobes that hold them together."""
 
-    lobe_mm: Annotated[float, Field(ge=20, le=500, description="radius of lobes")]
-    cells: Annotated[
-        tuple[Annotated[int, Field(ge=1, le=100)], Annotated[int, Field(ge=1, le=100)]] | None,
-        Field(description="across and along the wall; none: the fewest"),
-    ] = None
+    lobe_mm: float = Field(ge=20, le=500, description="radius of lobes")
+    cells: tuple[Annotated[int, Field(ge=1, le=100)], Annotated[int, Field(ge=1, le=100)]] | None = Field(
+        default=None, description="across and along the wall; none: the fewest"
+    )
 
 
 class StripPanelsFile(Strict):
     """Panels of a free-form surface with ruled faces, in strips beside one another."""
 
-    tolerance_mm: Annotated[float, Field(ge=0.01, le=100, description="of fronts to the surface")]
-    least_width_mm: Annotated[float, Field(ge=20, le=2000, description="of strips, in the mean")] = 60.0
-    least_height_mm: Annotated[float, Field(ge=20, le=2000, description="of panels, along their strip")] = (
-        100.0
-    )
+    tolerance_mm: float = Field(ge=0.01, le=100, description="of fronts to the surface")
+    least_width_mm: float = Field(default=60.0, ge=20, le=2000, description="of strips, in the mean")
+    least_height_mm: float = Field(default=100.0, ge=20, le=2000, description="of panels, along their strip")
 
 
 Kind = Literal["elastic", "hexagons", "boxes", "puzzle", "strips"]
@@ -209,11 +195,10 @@ class PanelsFile(Strict):
 class GroupsFile(Strict):
     """How a shell is put into groups for transport, and panels are numbered within each."""
 
-    parts: Annotated[int, Field(ge=1, le=26, description="groups, each with as many panels")]
-    numbering: Annotated[
-        Literal["rows", "height", "ground"],
-        Field(description="by rows, by height, or by the way over the shell from its first row"),
-    ] = "rows"
+    parts: int = Field(ge=1, le=26, description="groups, each with as many panels")
+    numbering: Literal["rows", "height", "ground"] = Field(
+        default="rows", description="by rows, by height, or by the way over the shell from its first row"
+    )
 
 
 class BlockFile(Strict):
@@ -229,9 +214,9 @@ Range = tuple[Annotated[float, Field(ge=0, le=100_000)], Annotated[float, Field(
 class WhenFile(Strict):
     """What panels a job is for: ranges [from, below) of the block that a panel is cut from."""
 
-    longest_mm: Annotated[Range | None, Field(description="longer side in plan")] = None
-    shortest_mm: Annotated[Range | None, Field(description="shorter side in plan")] = None
-    thickness_mm: Annotated[Range | None, Field(description="height of the block")] = None
+    longest_mm: Range | None = Field(default=None, description="longer side in plan")
+    shortest_mm: Range | None = Field(default=None, description="shorter side in plan")
+    thickness_mm: Range | None = Field(default=None, description="height of the block")
 
     def holds(self, size: tuple[float, float, float]) -> bool:
         """Whether a block (x, y, z) [mm] is meant."""
@@ -255,39 +240,38 @@ class JobFile(Strict):
 class SawBowFile(Strict):
     """The bow that cuts raw blocks apart."""
 
-    span_mm: Annotated[float, Field(ge=50, le=5000, description="wire between its clamps")]
-    throat_mm: Annotated[float, Field(ge=50, le=5000, description="free between wire and beam")]
+    span_mm: float = Field(ge=50, le=5000, description="wire between its clamps")
+    throat_mm: float = Field(ge=50, le=5000, description="free between wire and beam")
 
 
 class RawBlocksFile(Strict):
     """What panels' blocks are cut from, by through cuts."""
 
-    sizes: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=20)]
-    kerf_mm: Annotated[float, Field(ge=0, le=50)]
-    oversize_mm: Annotated[
-        float, Field(ge=0, le=500, description="of a panel's block, along x and along y, to be trimmed")
-    ] = 0.0
-    grain: Annotated[
-        Literal["any", "along"],
-        Field(description="along: x of panels' blocks lies along the first side of raw blocks"),
-    ] = "any"
-    keep_mm: Annotated[float, Field(ge=10, le=5000, description="least side of what is kept")] = 200.0
+    sizes: tuple[BlockFile, ...] = Field(min_length=1, max_length=20)
+    kerf_mm: float = Field(ge=0, le=50)
+    oversize_mm: float = Field(
+        default=0.0, ge=0, le=500, description="of a panel's block, along x and along y, to be trimmed"
+    )
+    grain: Literal["any", "along"] = Field(
+        default="any", description="along: x of panels' blocks lies along the first side of raw blocks"
+    )
+    keep_mm: float = Field(default=200.0, ge=10, le=5000, description="least side of what is kept")
     bow: SawBowFile | None = None
-    stock: Annotated[FileName | None, Field(description="list of what is left over")] = None
+    stock: FileName | None = Field(default=None, description="list of what is left over")
 
 
 class DowelsFile(Strict):
     """Dowels between neighbouring panels, along the way in of the one that comes later."""
 
-    diameter_mm: Annotated[float, Field(ge=2, le=100)]
-    depth_mm: Annotated[float, Field(ge=5, le=1000, description="of the hole in either panel")]
-    count: Annotated[int, Field(ge=1, le=6, description="in a joint, fewer where it is short")] = 2
-    cover_mm: Annotated[
-        float, Field(ge=1, le=500, description="foam between a hole and faces, other sides and other holes")
-    ] = 20.0
-    lean_deg: Annotated[
-        float, Field(ge=0, le=60, description="of a dowel off square to its joint, at most")
-    ] = 30.0
+    diameter_mm: float = Field(ge=2, le=100)
+    depth_mm: float = Field(ge=5, le=1000, description="of the hole in either panel")
+    count: int = Field(default=2, ge=1, le=6, description="in a joint, fewer where it is short")
+    cover_mm: float = Field(
+        default=20.0, ge=1, le=500, description="foam between a hole and faces, other sides and other holes"
+    )
+    lean_deg: float = Field(
+        default=30.0, ge=0, le=60, description="of a dowel off square to its joint, at most"
+    )
 
 
 class CutBlocksFile(Strict):
@@ -295,16 +279,14 @@ class CutBlocksFile(Strict):
     stand and cuts come with each piece."""
 
     problem: Rest
-    stand_mm: Annotated[
-        float, Field(ge=50, le=2000, description="height of what pieces lie or stand on, at most")
-    ] = 700.0
-    together: Annotated[
-        bool,
-        Field(
-            description="panels of a block are cut out of it together where its bow can: all faces on one "
-            "way, then round each of them"
-        ),
-    ] = False
+    stand_mm: float = Field(
+        default=700.0, ge=50, le=2000, description="height of what pieces lie or stand on, at most"
+    )
+    together: bool = Field(
+        default=False,
+        description="panels of a block are cut out of it together where its bow can: all faces on one "
+        "way, then round each of them",
+    )
 
 
 class ElementFile(Strict):
@@ -313,34 +295,30 @@ class ElementFile(Strict):
     element: Literal[1]
     name: ElementName
     surface: SurfaceFile
-    thickness_mm: Annotated[float, Field(ge=1, le=2000)]
+    thickness_mm: float = Field(ge=1, le=2000)
     panels: PanelsFile
-    wires: Annotated[
-        tuple[WiresFile, ...] | None, Field(min_length=1, max_length=20, description="of elastic panels")
-    ] = None
-    blocks: Annotated[tuple[BlockFile, ...], Field(min_length=1, max_length=50)]
-    foam_sides_mm: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=500,
-            description="foam of a block beside its panel, at each side; none: 2, hexagons 10, walls "
-            "and strips 4",
-        ),
-    ] = None
-    foam_faces_mm: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=500,
-            description="foam of a block above and below its panel; none: 14, walls and strips 4",
-        ),
-    ] = None
+    wires: tuple[WiresFile, ...] | None = Field(
+        default=None, min_length=1, max_length=20, description="of elastic panels"
+    )
+    blocks: tuple[BlockFile, ...] = Field(min_length=1, max_length=50)
+    foam_sides_mm: float | None = Field(
+        default=None,
+        ge=0,
+        le=500,
+        description="foam of a block beside its panel, at each side; none: 2, hexagons 10, walls "
+        "and strips 4",
+    )
+    foam_faces_mm: float | None = Field(
+        default=None,
+        ge=0,
+        le=500,
+        description="foam of a block above and below its panel; none: 14, walls and strips 4",
+    )
     raw_blocks: RawBlocksFile | None = None
-    groups: Annotated[GroupsFile | None, Field(description="of hexagons")] = None
+    groups: GroupsFile | None = Field(default=None, description="of hexagons")
     dowels: DowelsFile | None = None
-    cut_blocks: Annotated[CutBlocksFile | None, Field(description="problems of raw blocks")] = None
-    jobs: Annotated[tuple[JobFile, ...], Field(min_length=1, max_length=50)]
+    cut_blocks: CutBlocksFile | None = Field(default=None, description="problems of raw blocks")
+    jobs: tuple[JobFile, ...] = Field(min_length=1, max_length=50)
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> ElementFile:

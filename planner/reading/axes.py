@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from pydantic import Field
@@ -49,25 +49,26 @@ class TurntablePlateFile(Strict):
     """The plate of a turntable, a cylinder under its centre."""
 
     diameter_mm: Positive
-    height_mm: Annotated[Positive, Field(description="from its top down to the floor or to what bears it")]
+    height_mm: Positive = Field(description="from its top down to the floor or to what bears it")
 
 
 class TurntableFile(Strict):
     """A turntable under the block, that turns it from station to station between operations; `place` of the
     block is that of value 0."""
 
-    unit: Annotated[Name, Field(description=UNIT)]
-    arm: Annotated[Name | None, Field(description="whose program moves it; none: the first arm")] = None
-    external_axis: Annotated[
-        int, Field(ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a or E1")
-    ] = 1
-    centre_mm: Annotated[Vector, Field(description="middle of the plate's top, in the world")]
-    axis: Annotated[
-        Vector, Field(description="growing values turn by the right hand about it: straight up or down")
-    ] = (0.0, 0.0, 1.0)
-    range_deg: Annotated[tuple[float, float], Field(description="least and largest value")]
-    speed_deg_s: Annotated[float, Field(ge=0.1, le=720, description="its highest")]
-    home_deg: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
+    unit: Name = Field(description=UNIT)
+    arm: Name | None = Field(default=None, description="whose program moves it; none: the first arm")
+    external_axis: int = Field(
+        default=1, ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a or E1"
+    )
+    centre_mm: Vector = Field(description="middle of the plate's top, in the world")
+    axis: Vector = Field(
+        default=(0.0, 0.0, 1.0),
+        description="growing values turn by the right hand about it: straight up or down",
+    )
+    range_deg: tuple[float, float] = Field(description="least and largest value")
+    speed_deg_s: float = Field(ge=0.1, le=720, description="its highest")
+    home_deg: float = Field(default=0.0, description="where it stands before a program begins")
     plate: TurntablePlateFile
 
 
@@ -75,24 +76,18 @@ class TiltFile(Strict):
     """The tilt axis of a positioner, fixed in the world: it tilts the turn axis, the plate and the bracket.
     With value 0 the plate lies flat."""
 
-    external_axis: Annotated[
-        int, Field(ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a or E1")
-    ] = 1
-    centre_mm: Annotated[
-        Vector,
-        Field(description="any point of it, in the world; it need not meet the turn axis"),
-    ]
-    axis: Annotated[
-        Vector, Field(description="growing values tilt by the right hand about it; any but upright")
-    ]
-    range_deg: Annotated[tuple[float, float], Field(description="least and largest value, with 0 in it")]
-    speed_deg_s: Annotated[float, Field(ge=0.1, le=720, description="its highest")]
-    acceleration_deg_s2: Annotated[float, Field(ge=0.1, le=10_000, description="its highest")]
-    home_deg: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
-    bracket: Annotated[
-        tuple[Name, ...],
-        Field(max_length=20, description="bodies of `obstacles`, where they are at 0, that it tilts"),
-    ] = ()
+    external_axis: int = Field(
+        default=1, ge=1, le=6, description="which of the targets' external axes it is: 1 is eax_a or E1"
+    )
+    centre_mm: Vector = Field(description="any point of it, in the world; it need not meet the turn axis")
+    axis: Vector = Field(description="growing values tilt by the right hand about it; any but upright")
+    range_deg: tuple[float, float] = Field(description="least and largest value, with 0 in it")
+    speed_deg_s: float = Field(ge=0.1, le=720, description="its highest")
+    acceleration_deg_s2: float = Field(ge=0.1, le=10_000, description="its highest")
+    home_deg: float = Field(default=0.0, description="where it stands before a program begins")
+    bracket: tuple[Name, ...] = Field(
+        default=(), max_length=20, description="bodies of `obstacles`, where they are at 0, that it tilts"
+    )
 
 
 class PositionerFile(TurntableFile):
@@ -100,11 +95,11 @@ class PositionerFile(TurntableFile):
     which take the block from station to station between operations. `place` of the block is that of both
     values 0."""
 
-    external_axis: Annotated[
-        int, Field(ge=1, le=6, description="of the turn axis among the targets' external axes")
-    ] = 2
-    acceleration_deg_s2: Annotated[float, Field(ge=0.1, le=10_000, description="highest of the turn axis")]
-    load_kg: Annotated[Positive | None, Field(description="the most that it carries")] = None
+    external_axis: int = Field(
+        default=2, ge=1, le=6, description="of the turn axis among the targets' external axes"
+    )
+    acceleration_deg_s2: float = Field(ge=0.1, le=10_000, description="highest of the turn axis")
+    load_kg: Positive | None = Field(default=None, description="the most that it carries")
     tilt: TiltFile
 
 

@@ -116,39 +116,37 @@ class BowFile(Strict):
     """The built-in bow with a straight hot wire; 400 x 400 mm and 650 x 650 mm are the usual ones."""
 
     kind: Literal["bow"]
-    span_mm: Annotated[float, Field(ge=50, le=3000, description="wire between its clamps")] = BOW_SPAN / MM
-    throat_mm: Annotated[float, Field(ge=50, le=3000, description="from the beam to the wire")] = (
-        BOW_THROAT / MM
-    )
-    wire_diameter_mm: Annotated[float, Field(ge=0.01, le=10)] = BOW_WIRE_DIAMETER / MM
-    tilt_deg: Annotated[float, Field(ge=-90, le=90, description="of the bow about its wire")] = 0.0
+    span_mm: float = Field(default=BOW_SPAN / MM, ge=50, le=3000, description="wire between its clamps")
+    throat_mm: float = Field(default=BOW_THROAT / MM, ge=50, le=3000, description="from the beam to the wire")
+    wire_diameter_mm: float = Field(default=BOW_WIRE_DIAMETER / MM, ge=0.01, le=10)
+    tilt_deg: float = Field(default=0.0, ge=-90, le=90, description="of the bow about its wire")
 
 
 class _GripperFile(Strict):
     """What all tools have that hold a block."""
 
-    name: Annotated[Name | None, Field(description="what people call it; none: by its kind")] = None
-    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = (
-        GRIPPER_REACH / MM
+    name: Name | None = Field(default=None, description="what people call it; none: by its kind")
+    reach_mm: float = Field(
+        default=GRIPPER_REACH / MM, ge=30, le=500, description="from the flange to the block"
     )
-    holding_n: Annotated[
-        float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
-    ] = None
+    holding_n: float | None = Field(
+        default=None, gt=0, le=100_000, description="force that it holds with; none: by its area"
+    )
 
 
 class GripperPlateFile(_GripperFile):
     """The built-in plate with needles that holds a block by its bottom face."""
 
     kind: Literal["gripper_plate"]
-    width_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
-    depth_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
+    width_mm: float = Field(default=160.0, ge=20, le=2000)
+    depth_mm: float = Field(default=160.0, ge=20, le=2000)
 
 
 class VacuumCupFile(_GripperFile):
     """The built-in vacuum cup that holds a block by its bottom face."""
 
     kind: Literal["vacuum_cup"]
-    radius_mm: Annotated[float, Field(ge=10, le=500)] = 60.0
+    radius_mm: float = Field(default=60.0, ge=10, le=500)
 
 
 class BallToolFile(Strict):
@@ -156,46 +154,42 @@ class BallToolFile(Strict):
     centre."""
 
     kind: Literal["ball_tool"]
-    radius_mm: Annotated[float, Field(ge=0.5, le=100)] = 9.525
-    length_mm: Annotated[
-        float, Field(ge=110, le=1500, description="from the flange to the ball's centre")
-    ] = 300.0
-    shaft_radius_mm: Annotated[float | None, Field(ge=0.5, le=100, description="none: that of the ball")] = (
-        None
+    radius_mm: float = Field(default=9.525, ge=0.5, le=100)
+    length_mm: float = Field(
+        default=300.0, ge=110, le=1500, description="from the flange to the ball's centre"
     )
-    neck_mm: Annotated[
-        float, Field(ge=0, le=500, description="from the ball's centre to a shaft of another radius")
-    ] = 0.0
-    tilt_deg: Annotated[float, Field(ge=-90, le=90, description="of the tool against the flange's axis")] = (
-        0.0
+    shaft_radius_mm: float | None = Field(default=None, ge=0.5, le=100, description="none: that of the ball")
+    neck_mm: float = Field(
+        default=0.0, ge=0, le=500, description="from the ball's centre to a shaft of another radius"
     )
+    tilt_deg: float = Field(default=0.0, ge=-90, le=90, description="of the tool against the flange's axis")
 
 
 class DiskToolFile(Strict):
     """The built-in flat disk that supports the border of what is formed; TCP: the middle of its face."""
 
     kind: Literal["disk_tool"]
-    radius_mm: Annotated[float, Field(ge=2, le=200)] = 25.4
-    thickness_mm: Annotated[float, Field(ge=1, le=100)] = 12.0
-    rim_mm: Annotated[float, Field(ge=0, le=50, description="rounding of its edge")] = DISK_RIM / MM
-    shaft_radius_mm: Annotated[float, Field(ge=0.5, le=200)] = 9.525
-    length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the face")] = 300.0
+    radius_mm: float = Field(default=25.4, ge=2, le=200)
+    thickness_mm: float = Field(default=12.0, ge=1, le=100)
+    rim_mm: float = Field(default=DISK_RIM / MM, ge=0, le=50, description="rounding of its edge")
+    shaft_radius_mm: float = Field(default=9.525, ge=0.5, le=200)
+    length_mm: float = Field(default=300.0, ge=110, le=1500, description="from the flange to the face")
 
 
 class HeatToolFile(Strict):
     """The built-in heat gun or laser head; its TCP is the place that it heats."""
 
     kind: Literal["heat_tool"]
-    radius_mm: Annotated[float, Field(ge=1, le=200)] = 25.0
-    length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the nozzle")] = 250.0
-    standoff_mm: Annotated[float, Field(ge=1, le=1000, description="from the nozzle to the TCP")] = 40.0
+    radius_mm: float = Field(default=25.0, ge=1, le=200)
+    length_mm: float = Field(default=250.0, ge=110, le=1500, description="from the flange to the nozzle")
+    standoff_mm: float = Field(default=40.0, ge=1, le=1000, description="from the nozzle to the TCP")
 
 
 class HolderPieceFile(Strict):
     """A piece of a milling tool's holder, a cylinder."""
 
-    length_mm: Annotated[float, Field(ge=1, le=1000)]
-    diameter_mm: Annotated[float, Field(ge=1, le=1000)]
+    length_mm: float = Field(ge=1, le=1000)
+    diameter_mm: float = Field(ge=1, le=1000)
 
 
 class MillFile(Strict):
@@ -203,28 +197,30 @@ class MillFile(Strict):
 
     kind: Literal["mill"]
     cutter: Literal["cylinder", "ball", "bull"] = "cylinder"
-    diameter_mm: Annotated[float, Field(ge=0.1, le=200)]
-    corner_mm: Annotated[float, Field(ge=0, le=100, description="radius of the corners of a bull nose")] = 0.0
-    flute_mm: Annotated[float, Field(ge=0.1, le=500, description="cutting length behind the tip")]
-    overhang_mm: Annotated[float, Field(ge=1, le=800, description="from the nose of the holder to the tip")]
-    shank_diameter_mm: Annotated[
-        float | None, Field(ge=0.1, le=200, description="none: that of the cutter")
-    ] = None
-    holder: Annotated[
-        tuple[HolderPieceFile, ...],
-        Field(min_length=1, max_length=20, description="its pieces from the nose to the spindle"),
-    ] = tuple(
-        HolderPieceFile(length_mm=length / MM, diameter_mm=2.0 * radius / MM)
-        for length, radius in MILL_HOLDER
+    diameter_mm: float = Field(ge=0.1, le=200)
+    corner_mm: float = Field(default=0.0, ge=0, le=100, description="radius of the corners of a bull nose")
+    flute_mm: float = Field(ge=0.1, le=500, description="cutting length behind the tip")
+    overhang_mm: float = Field(ge=1, le=800, description="from the nose of the holder to the tip")
+    shank_diameter_mm: float | None = Field(
+        default=None, ge=0.1, le=200, description="none: that of the cutter"
     )
-    spindle_diameter_mm: Annotated[float, Field(ge=10, le=600)] = 2.0 * MILL_SPINDLE[0] / MM
-    spindle_length_mm: Annotated[float, Field(ge=10, le=1500)] = MILL_SPINDLE[1] / MM
-    tilt_deg: Annotated[
-        float, Field(ge=-135, le=135, description="of the spindle against the flange's axis")
-    ] = 0.0
-    mass_kg: Annotated[
-        float | None, Field(ge=0.001, le=1000, description="of the whole tool; none: by its volume")
-    ] = None
+    holder: tuple[HolderPieceFile, ...] = Field(
+        default=tuple(
+            HolderPieceFile(length_mm=length / MM, diameter_mm=2.0 * radius / MM)
+            for length, radius in MILL_HOLDER
+        ),
+        min_length=1,
+        max_length=20,
+        description="its pieces from the nose to the spindle",
+    )
+    spindle_diameter_mm: float = Field(default=2.0 * MILL_SPINDLE[0] / MM, ge=10, le=600)
+    spindle_length_mm: float = Field(default=MILL_SPINDLE[1] / MM, ge=10, le=1500)
+    tilt_deg: float = Field(
+        default=0.0, ge=-135, le=135, description="of the spindle against the flange's axis"
+    )
+    mass_kg: float | None = Field(
+        default=None, ge=0.001, le=1000, description="of the whole tool; none: by its volume"
+    )
 
 
 class TorchFile(Strict):
@@ -232,25 +228,25 @@ class TorchFile(Strict):
     ``standoff_mm`` before the nozzle; what it cuts is a slot of ``kerf_mm``."""
 
     kind: Literal["torch"]
-    cuts_by: Annotated[Literal["plasma", "laser", "waterjet"], Field(description="what the torch cuts with")]
-    standoff_mm: Annotated[float, Field(ge=0.2, le=100, description="from the nozzle to the sheet")] = 3.0
-    kerf_mm: Annotated[float, Field(ge=0.05, le=20, description="width of the slot in this sheet")]
-    nozzle_diameter_mm: Annotated[float, Field(ge=1, le=200, description="of the nozzle's end")] = (
-        2.0 * TORCH_SIZE[0] / MM
+    cuts_by: Literal["plasma", "laser", "waterjet"] = Field(description="what the torch cuts with")
+    standoff_mm: float = Field(default=3.0, ge=0.2, le=100, description="from the nozzle to the sheet")
+    kerf_mm: float = Field(ge=0.05, le=20, description="width of the slot in this sheet")
+    nozzle_diameter_mm: float = Field(
+        default=2.0 * TORCH_SIZE[0] / MM, ge=1, le=200, description="of the nozzle's end"
     )
-    nozzle_length_mm: Annotated[
-        float, Field(ge=1, le=500, description="of the cone from its end to the body")
-    ] = TORCH_SIZE[1] / MM
-    body_diameter_mm: Annotated[float, Field(ge=5, le=400)] = 2.0 * TORCH_SIZE[2] / MM
-    length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the nozzle's end")] = (
-        TORCH_SIZE[3] / MM
+    nozzle_length_mm: float = Field(
+        default=TORCH_SIZE[1] / MM, ge=1, le=500, description="of the cone from its end to the body"
     )
-    tilt_deg: Annotated[
-        float, Field(ge=-135, le=135, description="of the torch against the flange's axis")
-    ] = 0.0
-    mass_kg: Annotated[
-        float | None, Field(ge=0.001, le=1000, description="with cable and hoses; none: by its volume")
-    ] = None
+    body_diameter_mm: float = Field(default=2.0 * TORCH_SIZE[2] / MM, ge=5, le=400)
+    length_mm: float = Field(
+        default=TORCH_SIZE[3] / MM, ge=110, le=1500, description="from the flange to the nozzle's end"
+    )
+    tilt_deg: float = Field(
+        default=0.0, ge=-135, le=135, description="of the torch against the flange's axis"
+    )
+    mass_kg: float | None = Field(
+        default=None, ge=0.001, le=1000, description="with cable and hoses; none: by its volume"
+    )
 
 
 class KnifeFile(Strict):
@@ -259,27 +255,26 @@ class KnifeFile(Strict):
     oscillates at its lowest."""
 
     kind: Literal["knife"]
-    thickness_mm: Annotated[float, Field(ge=0.05, le=10, description="of the blade")] = 0.6
-    width_mm: Annotated[float, Field(ge=0.2, le=100, description="of the blade, from its back to its edge")]
-    end_mm: Annotated[
-        float, Field(ge=0, le=100, description="of its straight end; none, 0: a point at its back")
-    ] = 0.0
-    ground_mm: Annotated[
-        float,
-        Field(ge=0, le=200, description="height over which its edge goes from the end to its whole width"),
-    ]
-    blade_mm: Annotated[float, Field(ge=1, le=300, description="of the blade out of its body")]
-    body_diameter_mm: Annotated[float, Field(ge=5, le=400)] = 2.0 * KNIFE_BODY[0] / MM
-    length_mm: Annotated[float, Field(ge=75, le=1500, description="from the flange to the tip")] = (
-        KNIFE_BODY[1] / MM
+    thickness_mm: float = Field(default=0.6, ge=0.05, le=10, description="of the blade")
+    width_mm: float = Field(ge=0.2, le=100, description="of the blade, from its back to its edge")
+    end_mm: float = Field(
+        default=0.0, ge=0, le=100, description="of its straight end; none, 0: a point at its back"
     )
-    turn_deg: Annotated[
-        float, Field(ge=-180, le=180, description="of its edge about the tool's axis, from the flange's x")
-    ] = 0.0
-    tilt_deg: Annotated[float, Field(ge=-135, le=135, description="against the flange's axis")] = 0.0
-    mass_kg: Annotated[
-        float | None, Field(ge=0.001, le=1000, description="with cable and hoses; none: by its volume")
-    ] = None
+    ground_mm: float = Field(
+        ge=0, le=200, description="height over which its edge goes from the end to its whole width"
+    )
+    blade_mm: float = Field(ge=1, le=300, description="of the blade out of its body")
+    body_diameter_mm: float = Field(default=2.0 * KNIFE_BODY[0] / MM, ge=5, le=400)
+    length_mm: float = Field(
+        default=KNIFE_BODY[1] / MM, ge=75, le=1500, description="from the flange to the tip"
+    )
+    turn_deg: float = Field(
+        default=0.0, ge=-180, le=180, description="of its edge about the tool's axis, from the flange's x"
+    )
+    tilt_deg: float = Field(default=0.0, ge=-135, le=135, description="against the flange's axis")
+    mass_kg: float | None = Field(
+        default=None, ge=0.001, le=1000, description="with cable and hoses; none: by its volume"
+    )
 
 
 class PlainToolFile(Strict):
@@ -287,7 +282,7 @@ class PlainToolFile(Strict):
 
     kind: Literal["plain"]
     tcp: PoseFile
-    mass_kg: Annotated[float, Field(ge=0.001, le=1000)]
+    mass_kg: float = Field(ge=0.001, le=1000)
     cog_mm: Vector = (0.0, 0.0, 50.0)
     shapes: tuple[ShapeFile, ...] = ()
 
@@ -311,13 +306,10 @@ ToolFile = Annotated[
 class StiffnessFile(Strict):
     """How stiff the drives of this very robot are, as identified on it, links taken as rigid."""
 
-    joints_nm_rad: Annotated[
-        tuple[Stiff, Stiff, Stiff, Stiff, Stiff, Stiff],
-        Field(description="of axes 1 to 6, N m/rad, as the controller counts them"),
-    ]
-    source: Annotated[
-        str, Field(min_length=3, max_length=300, description="who identified it, where and how")
-    ]
+    joints_nm_rad: tuple[Stiff, Stiff, Stiff, Stiff, Stiff, Stiff] = Field(
+        description="of axes 1 to 6, N m/rad, as the controller counts them"
+    )
+    source: str = Field(min_length=3, max_length=300, description="who identified it, where and how")
 
     def value(self) -> JointStiffness:
         """In SI units."""
@@ -327,10 +319,10 @@ class StiffnessFile(Strict):
 class SagFile(Strict):
     """Targets are commanded so that the sagged arm stands where it is wanted."""
 
-    load: Annotated[
-        bool, Field(description="the tool's weight, too; false where the controller makes up for it")
-    ] = True
-    most_mm: Annotated[float, Field(ge=0.01, le=20, description="largest shift of a target")] = 5.0
+    load: bool = Field(
+        default=True, description="the tool's weight, too; false where the controller makes up for it"
+    )
+    most_mm: float = Field(default=5.0, ge=0.01, le=20, description="largest shift of a target")
 
     def value(self) -> SagCompensation:
         """In SI units."""
@@ -349,36 +341,32 @@ class ArmFile(Strict):
     base: PoseFile = PoseFile()
     base_auto: bool = False
     tool: ToolFile
-    home_deg: Annotated[
-        Posture | None,
-        Field(
-            description="joints at home, one for each axis; none: the upper arm upright, the forearm level"
-        ),
-    ] = None
-    stiffness: Annotated[
-        StiffnessFile | None, Field(description="none: the catalogue's, which has none for most robots")
-    ] = None
-    compensate_sag: Annotated[
-        SagFile | None, Field(description="none: targets are commanded where they are wanted")
-    ] = None
-    track: Annotated[
-        rails.TrackFile | None, Field(description="none: the base stands; `base` is that of value 0")
-    ] = None
-    axes: Annotated[
-        tuple[rails.GantryAxisFile, ...] | None,
-        Field(
-            min_length=2,
-            max_length=3,
-            description="in place of a track: those of a gantry, from the floor up; `base` is that of 0",
-        ),
-    ] = None
+    home_deg: Posture | None = Field(
+        default=None,
+        description="joints at home, one for each axis; none: the upper arm upright, the forearm level",
+    )
+    stiffness: StiffnessFile | None = Field(
+        default=None, description="none: the catalogue's, which has none for most robots"
+    )
+    compensate_sag: SagFile | None = Field(
+        default=None, description="none: targets are commanded where they are wanted"
+    )
+    track: rails.TrackFile | None = Field(
+        default=None, description="none: the base stands; `base` is that of value 0"
+    )
+    axes: tuple[rails.GantryAxisFile, ...] | None = Field(
+        default=None,
+        min_length=2,
+        max_length=3,
+        description="in place of a track: those of a gantry, from the floor up; `base` is that of 0",
+    )
 
 
 class ObstacleFile(Strict):
     """A fixed body: its shapes are placed in the world."""
 
     name: Name
-    shapes: Annotated[list[ShapeFile], Field(min_length=1)]
+    shapes: list[ShapeFile] = Field(min_length=1)
 
 
 RackFile = Annotated[
@@ -391,17 +379,16 @@ class CellFile(Strict):
     """A robot cell."""
 
     name: str = "cell"
-    arms: Annotated[list[ArmFile], Field(min_length=1, max_length=2)]
+    arms: list[ArmFile] = Field(min_length=1, max_length=2)
     obstacles: tuple[ObstacleFile, ...] = ()
     grippers: RackFile = ()
-    wires: Annotated[
-        tuple[WiresFile, ...] | None,
-        Field(min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"),
-    ] = None
-    turntable: Annotated[axes.TurntableFile | None, Field(description="none: the block stands still")] = None
-    positioner: Annotated[
-        axes.PositionerFile | None, Field(description="in place of a turntable: one that tilts, too")
-    ] = None
+    wires: tuple[WiresFile, ...] | None = Field(
+        default=None, min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"
+    )
+    turntable: axes.TurntableFile | None = Field(default=None, description="none: the block stands still")
+    positioner: axes.PositionerFile | None = Field(
+        default=None, description="in place of a turntable: one that tilts, too"
+    )
     controller: ControllerFile = ControllerFile.model_validate({})
 
 

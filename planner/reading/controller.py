@@ -42,21 +42,20 @@ OTHER_NUMBERS: Final = range(1, 4097)
 class SignalsFile(Strict):
     """Signals of one controller to the other one."""
 
-    output: Annotated[Name, Field(description="digital output to the other controller")] = (
-        PartnerSignals.output
+    output: Name = Field(default=PartnerSignals.output, description="digital output to the other controller")
+    input: Name = Field(default=PartnerSignals.input, description="digital input from the other controller")
+    running: Name = Field(
+        default=PartnerSignals.running,
+        description="output that the controller holds at 1 while its program runs",
     )
-    input: Annotated[Name, Field(description="digital input from the other controller")] = (
-        PartnerSignals.input
+    partner_running: Name = Field(
+        default=PartnerSignals.partner_running,
+        description="input from the other controller's `running`; its fall stops this arm",
     )
-    running: Annotated[
-        Name, Field(description="output that the controller holds at 1 while its program runs")
-    ] = PartnerSignals.running
-    partner_running: Annotated[
-        Name, Field(description="input from the other controller's `running`; its fall stops this arm")
-    ] = PartnerSignals.partner_running
-    move_enable: Annotated[
-        Name, Field(description="of a KUKA controller: output that is looped to the input of $MOVE_ENABLE")
-    ] = PartnerSignals.move_enable
+    move_enable: Name = Field(
+        default=PartnerSignals.move_enable,
+        description="of a KUKA controller: output that is looped to the input of $MOVE_ENABLE",
+    )
 
 
 class WireEndFile(Strict):
@@ -69,78 +68,73 @@ class WireEndFile(Strict):
 class SignalWireFile(Strict):
     """A wire between the controllers."""
 
-    output: Annotated[WireEndFile, Field(description="the output that drives it")]
-    input: Annotated[WireEndFile, Field(description="the input that it drives")]
+    output: WireEndFile = Field(description="the output that drives it")
+    input: WireEndFile = Field(description="the input that it drives")
 
 
 class HandshakeFile(Strict):
     """How two controllers meet that share digital signals only."""
 
-    kind: Annotated[
-        HandshakeKind,
-        Field(description="signals change twice at each meeting and are 0 between, or once"),
-    ] = Handshake.kind
-    every: Annotated[int, Field(ge=1, le=100, description="meet at every so many moves")] = Handshake.every
-    signals: Annotated[
-        dict[Name, SignalsFile],
-        Field(default_factory=dict, description="by arm; an arm not named has the defaults"),
-    ]
-    wires: Annotated[
-        tuple[SignalWireFile, ...],
-        Field(
-            max_length=4,
-            description="all four, of `output` and of `running`; none: each drives the other arm's input",
-        ),
-    ] = ()
-    timeout_s: Annotated[
-        float, Field(ge=0.1, le=3600, description="longest wait for the other arm at a step of joint work")
-    ] = Handshake.timeout
-    patience_s: Annotated[
-        float,
-        Field(
-            ge=1, le=86_400, description="longest wait while the other arm moves alone or asks the operator"
-        ),
-    ] = Handshake.patience
+    kind: HandshakeKind = Field(
+        default=Handshake.kind, description="signals change twice at each meeting and are 0 between, or once"
+    )
+    every: int = Field(default=Handshake.every, ge=1, le=100, description="meet at every so many moves")
+    signals: dict[Name, SignalsFile] = Field(
+        default_factory=dict, description="by arm; an arm not named has the defaults"
+    )
+    wires: tuple[SignalWireFile, ...] = Field(
+        default=(),
+        max_length=4,
+        description="all four, of `output` and of `running`; none: each drives the other arm's input",
+    )
+    timeout_s: float = Field(
+        default=Handshake.timeout,
+        ge=0.1,
+        le=3600,
+        description="longest wait for the other arm at a step of joint work",
+    )
+    patience_s: float = Field(
+        default=Handshake.patience,
+        ge=1,
+        le=86_400,
+        description="longest wait while the other arm moves alone or asks the operator",
+    )
 
 
 class PowerOutputFile(Strict):
     """The output that a request of the program drives."""
 
-    signal: Annotated[
-        Name | None, Field(description="its name, unless stated that of the request and `Out`")
-    ] = None
-    device: Annotated[
-        Name | None, Field(description="I/O device of an ABB controller; none: nothing is wired to it")
-    ] = None
-    device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
+    signal: Name | None = Field(
+        default=None, description="its name, unless stated that of the request and `Out`"
+    )
+    device: Name | None = Field(
+        default=None, description="I/O device of an ABB controller; none: nothing is wired to it"
+    )
+    device_map: int = Field(default=0, ge=0, le=4095, description="bit on that device")
 
 
 class DevicePlaceFile(Strict):
     """Where a signal that powers nothing is at an ABB controller."""
 
-    device: Annotated[Name, Field(description="I/O device")]
-    device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
+    device: Name = Field(description="I/O device")
+    device_map: int = Field(default=0, ge=0, le=4095, description="bit on that device")
 
 
 class InterlockFile(Strict):
     """What the power hangs on besides the program."""
 
-    outputs: Annotated[
-        dict[Name, PowerOutputFile],
-        Field(default_factory=dict, description="by the signal that the program sets, which is a request"),
-    ]
-    cycle_signal: Annotated[Name, Field(description="system output of ABB: a program runs")] = Interlock.cycle
-    motors_signal: Annotated[Name, Field(description="system output of ABB: the motors are on")] = (
-        Interlock.motors
+    outputs: dict[Name, PowerOutputFile] = Field(
+        default_factory=dict, description="by the signal that the program sets, which is a request"
     )
-    places: Annotated[
-        dict[Name, dict[Name, DevicePlaceFile]],
-        Field(
-            default_factory=dict,
-            description="of signals that power nothing at ABB controllers (ends of wires between two of "
-            "them, inputs that an operation waits for, pulses), by arm and signal",
-        ),
-    ]
+    cycle_signal: Name = Field(default=Interlock.cycle, description="system output of ABB: a program runs")
+    motors_signal: Name = Field(
+        default=Interlock.motors, description="system output of ABB: the motors are on"
+    )
+    places: dict[Name, dict[Name, DevicePlaceFile]] = Field(
+        default_factory=dict,
+        description="of signals that power nothing at ABB controllers (ends of wires between two of "
+        "them, inputs that an operation waits for, pulses), by arm and signal",
+    )
 
 
 def _installed(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
@@ -153,46 +147,38 @@ class ControllerFile(Strict):
     """Names that the programs use, and whether one controller moves both arms (MultiMove) or each has its
     own."""
 
-    sync: Annotated[
-        Literal["multimove", "handshake"],
-        Field(description="one controller, or two that share digital signals only"),
-    ] = Controller.sync
-    tasks: Annotated[
-        tuple[Name, ...] | None,
-        Field(min_length=1, max_length=2, description="T_ROB1, T_ROB2; with `handshake` T_ROB1 twice"),
-    ] = None
-    units: Annotated[
-        tuple[Name, ...] | None,
-        Field(min_length=1, max_length=2, description="ROB_1, ROB_2; with `handshake` ROB_1 twice"),
-    ] = None
+    sync: Literal["multimove", "handshake"] = Field(
+        default=Controller.sync, description="one controller, or two that share digital signals only"
+    )
+    tasks: tuple[Name, ...] | None = Field(
+        default=None, min_length=1, max_length=2, description="T_ROB1, T_ROB2; with `handshake` T_ROB1 twice"
+    )
+    units: tuple[Name, ...] | None = Field(
+        default=None, min_length=1, max_length=2, description="ROB_1, ROB_2; with `handshake` ROB_1 twice"
+    )
     handshake: HandshakeFile | None = None
     wire_signal: Name = Controller.wire_signal
-    dialect: Annotated[KrlDialect, Field(description="of KUKA arms: KSS 8.3 on, or the older subset")] = (
-        Controller.dialect
+    dialect: KrlDialect = Field(
+        default=Controller.dialect, description="of KUKA arms: KSS 8.3 on, or the older subset"
     )
-    path: Annotated[
-        KrlPath,
-        Field(description="of KUKA arms: straight moves, or spline blocks with times (`krc4`, one arm)"),
-    ] = Controller.path
-    io: Annotated[
-        dict[Name, dict[Name, SignalNumber]],
-        Field(
-            default_factory=dict,
-            description="numbers of the signals of KUKA and UR controllers, by arm and name",
-        ),
-    ]
-    robotware: Annotated[
-        Literal[6, 7], Field(description="of ABB controllers: 6 has `.mod` in ISO 8859-1, 7 `.modx` in UTF-8")
-    ] = Controller.robotware
-    robots: Annotated[
-        tuple[Name, ...] | None,
-        Field(min_length=1, max_length=2, description="`ROBOT` in MOC.cfg; unless stated, `units`"),
-    ] = None
-    options: Annotated[
-        tuple[Annotated[str, Field(min_length=1, max_length=80)], ...] | None,
-        Field(description="options installed, as the controller lists them; none: not stated"),
-    ] = None
-    interlock: Annotated[InterlockFile, Field(default_factory=InterlockFile)]
+    path: KrlPath = Field(
+        default=Controller.path,
+        description="of KUKA arms: straight moves, or spline blocks with times (`krc4`, one arm)",
+    )
+    io: dict[Name, dict[Name, SignalNumber]] = Field(
+        default_factory=dict, description="numbers of the signals of KUKA and UR controllers, by arm and name"
+    )
+    robotware: Literal[6, 7] = Field(
+        default=Controller.robotware,
+        description="of ABB controllers: 6 has `.mod` in ISO 8859-1, 7 `.modx` in UTF-8",
+    )
+    robots: tuple[Name, ...] | None = Field(
+        default=None, min_length=1, max_length=2, description="`ROBOT` in MOC.cfg; unless stated, `units`"
+    )
+    options: tuple[Annotated[str, Field(min_length=1, max_length=80)], ...] | None = Field(
+        default=None, description="options installed, as the controller lists them; none: not stated"
+    )
+    interlock: InterlockFile = Field(default_factory=InterlockFile)
     language: Annotated[
         Literal["own", "ros"],
         WrapValidator(_installed),
@@ -201,25 +187,24 @@ class ControllerFile(Strict):
             "the language of each arm's family"
         ),
     ] = "own"
-    joint_prefix: Annotated[
-        dict[Name, Name],
-        Field(
-            default_factory=dict,
-            description="with `language: ros`, by arm: what stands before the joints' names of its URDF",
-        ),
-    ]
-    path_tolerance_deg: Annotated[
-        float,
-        Field(gt=0, le=10, description="with `language: ros`: a joint farther off its way ends the move"),
-    ] = 2.0
-    goal_tolerance_deg: Annotated[
-        float, Field(gt=0, le=2, description="with `language: ros`: so near to its goal each joint comes")
-    ] = 0.2
-    goal_time_s: Annotated[
-        float, Field(gt=0, le=30, description="with `language: ros`: so late it may be there")
-    ] = Controller.goal_time
-    max_moves: Annotated[int, Field(ge=10, le=100_000)] = Controller.max_moves
-    max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = Controller.max_bytes // 1000
+    joint_prefix: dict[Name, Name] = Field(
+        default_factory=dict,
+        description="with `language: ros`, by arm: what stands before the joints' names of its URDF",
+    )
+    path_tolerance_deg: float = Field(
+        default=2.0,
+        gt=0,
+        le=10,
+        description="with `language: ros`: a joint farther off its way ends the move",
+    )
+    goal_tolerance_deg: float = Field(
+        default=0.2, gt=0, le=2, description="with `language: ros`: so near to its goal each joint comes"
+    )
+    goal_time_s: float = Field(
+        default=Controller.goal_time, gt=0, le=30, description="with `language: ros`: so late it may be there"
+    )
+    max_moves: int = Field(default=Controller.max_moves, ge=10, le=100_000)
+    max_kilobytes: int = Field(default=Controller.max_bytes // 1000, ge=10, le=10_000)
 
 
 def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:

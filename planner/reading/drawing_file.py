@@ -29,17 +29,20 @@ class DrawingFile(Strict):
 
     file: FileName
     unit: Unit | None = None
-    layers: Annotated[
-        tuple[Annotated[str, Field(min_length=1, max_length=255)], ...] | None,
-        Field(min_length=1, max_length=50, description="of the file, one after the other; none: all of it"),
-    ] = None
-    name: Annotated[
-        str | None, Field(min_length=1, max_length=255, description="of objects of a Rhino file")
-    ] = None
-    colour: Annotated[
-        str | None,
-        Field(pattern=r"^#[0-9a-fA-F]{6}$", description="of objects of a Rhino file as shown, '#rrggbb'"),
-    ] = None
+    layers: tuple[Annotated[str, Field(min_length=1, max_length=255)], ...] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=50,
+        description="of the file, one after the other; none: all of it",
+    )
+    name: str | None = Field(
+        default=None, min_length=1, max_length=255, description="of objects of a Rhino file"
+    )
+    colour: str | None = Field(
+        default=None,
+        pattern=r"^#[0-9a-fA-F]{6}$",
+        description="of objects of a Rhino file as shown, '#rrggbb'",
+    )
 
     @property
     def of_rhino(self) -> bool:

@@ -21,25 +21,21 @@ Newton = Annotated[float, Field(ge=-20_000, le=20_000)]
 class ForceFile(Strict):
     """What the work exerts on a tool at its TCP while it works, as measured or reckoned."""
 
-    force_n: Annotated[
-        tuple[Newton, Newton, Newton] | None, Field(description="on the tool, along x, y, z")
-    ] = None
-    table: Annotated[
-        list[tuple[Height, Newton, Newton, Newton]] | None,
-        Field(
-            min_length=2,
-            max_length=1000,
-            description="instead: the force by depth, rows of z of the TCP in the stock's frame [mm] and the "
-            "force along x, y, z [N] there; between rows it goes on evenly",
-        ),
-    ] = None
-    frame: Annotated[
-        ForceFrame,
-        Field(
-            description="whose x, y, z: the block's or sheet's, the TCP's, or the feed's: forward, right, "
-            "and along the tool's axis into the work"
-        ),
-    ] = "stock"
+    force_n: tuple[Newton, Newton, Newton] | None = Field(
+        default=None, description="on the tool, along x, y, z"
+    )
+    table: list[tuple[Height, Newton, Newton, Newton]] | None = Field(
+        default=None,
+        min_length=2,
+        max_length=1000,
+        description="instead: the force by depth, rows of z of the TCP in the stock's frame [mm] and the "
+        "force along x, y, z [N] there; between rows it goes on evenly",
+    )
+    frame: ForceFrame = Field(
+        default="stock",
+        description="whose x, y, z: the block's or sheet's, the TCP's, or the feed's: forward, right, "
+        "and along the tool's axis into the work",
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> ForceFile:
@@ -59,7 +55,7 @@ class ForceFile(Strict):
 class ForcesFile(Strict):
     """Forces by the name of the arm."""
 
-    forces: Annotated[dict[Name, ForceFile], Field(min_length=1, max_length=2)]
+    forces: dict[Name, ForceFile] = Field(min_length=1, max_length=2)
 
 
 def faults(problem: Problem) -> Iterator[Issue]:

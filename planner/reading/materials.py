@@ -32,11 +32,11 @@ class SectionFile(Strict):
     bends.
     """
 
-    material: Annotated[str, Field(description="name in the table of materials")]
+    material: str = Field(description="name in the table of materials")
     diameter_mm: Annotated[float, Field(ge=0.05, le=10)] | None = None
     width_mm: Annotated[float, Field(ge=0.2, le=60)] | None = None
     thickness_mm: Annotated[float, Field(ge=0.05, le=5)] | None = None
-    temperature_c: Annotated[float, Field(ge=20, le=1000, description="of the wire while it cuts")]
+    temperature_c: float = Field(ge=20, le=1000, description="of the wire while it cuts")
 
     @model_validator(mode="after")
     def _one_section(self) -> SectionFile:
@@ -67,7 +67,7 @@ class SectionFile(Strict):
 class WireFile(SectionFile):
     """One wire: its section and its length."""
 
-    length_mm: Annotated[float, Field(ge=50, le=5000, description="hot length between the clamps")]
+    length_mm: float = Field(ge=50, le=5000, description="hot length between the clamps")
 
     def __str__(self) -> str:
         return f"{self.material} {self.size} of {self.length_mm:g} mm"
@@ -97,10 +97,9 @@ class WireFile(SectionFile):
 class WiresFile(SectionFile):
     """Wires at hand of one section: one for each of the lengths."""
 
-    lengths_mm: Annotated[
-        tuple[Annotated[float, Field(ge=50, le=5000)], ...],
-        Field(min_length=1, max_length=50, description="hot lengths between the clamps"),
-    ]
+    lengths_mm: tuple[Annotated[float, Field(ge=50, le=5000)], ...] = Field(
+        min_length=1, max_length=50, description="hot lengths between the clamps"
+    )
 
     def wires(self) -> tuple[WireFile, ...]:
         """One wire for each length."""
@@ -173,12 +172,12 @@ Range = tuple[
 class KerfFitFile(Strict):
     """What test cuts say of the kerf: kerf = chi * ideal - offset."""
 
-    chi: Annotated[float, Field(gt=0, le=100, description="slot per ideal width")]
-    offset_mm: Annotated[float, Field(ge=-100, le=100)]
-    spread_mm: Annotated[float, Field(ge=0, le=100, description="standard deviation of the residuals")]
-    count: Annotated[int, Field(ge=3, le=1_000_000, description="cuts that were used")]
-    mean_ideal_mm: Annotated[float, Field(gt=0, le=1000)]
-    scatter_mm2: Annotated[float, Field(gt=0, le=1e9)]
+    chi: float = Field(gt=0, le=100, description="slot per ideal width")
+    offset_mm: float = Field(ge=-100, le=100)
+    spread_mm: float = Field(ge=0, le=100, description="standard deviation of the residuals")
+    count: int = Field(ge=3, le=1_000_000, description="cuts that were used")
+    mean_ideal_mm: float = Field(gt=0, le=1000)
+    scatter_mm2: float = Field(gt=0, le=1e9)
     power_per_length_w_m: Range
     speed_mm_s: Range
     burnt_speed_mm_s: Annotated[float, Field(gt=0, le=1000)] | None = None
@@ -216,11 +215,11 @@ class FoamFile(Strict):
 
     tandem_foam: Literal[1]
     name: Name
-    title: Annotated[str, Field(max_length=200)] = ""
-    source: Annotated[str, Field(max_length=1000)] = ""
-    density_kg_m3: Annotated[float, Field(ge=1, le=1000)]
-    specific_heat_j_kg_k: Annotated[float, Field(ge=100, le=10_000)]
-    melt_temperature_c: Annotated[float, Field(ge=50, le=1000)]
+    title: str = Field(default="", max_length=200)
+    source: str = Field(default="", max_length=1000)
+    density_kg_m3: float = Field(ge=1, le=1000)
+    specific_heat_j_kg_k: float = Field(ge=100, le=10_000)
+    melt_temperature_c: float = Field(ge=50, le=1000)
     conductivity_w_m_k: Annotated[float, Field(gt=0, le=10)] | None = None
     kerf: KerfFitFile | None = None
 

@@ -84,10 +84,10 @@ class PlateFile(Strict):
     inside those.
     """
 
-    outlines: Annotated[tuple[OutlineFile, ...], Field(max_length=500)] = ()
+    outlines: tuple[OutlineFile, ...] = Field(default=(), max_length=500)
     dxf: PlateDxfFile | None = None
     rhino: RhinoFile | None = None
-    corner_deg: Annotated[float, Field(ge=1, le=179)] = 20.0
+    corner_deg: float = Field(default=20.0, ge=1, le=179)
 
     @model_validator(mode="after")
     def _some(self) -> PlateFile:

@@ -53,11 +53,11 @@ class WingFile(Strict):
 
     root: SectionFile
     tip: SectionFile
-    span_mm: Annotated[float, Field(ge=10, le=20_000)]
-    sweep_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
-    twist_deg: Annotated[float, Field(ge=-30, le=30)] = 0.0
-    dihedral_deg: Annotated[float, Field(ge=-45, le=45)] = 0.0
-    trailing_edge_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
+    span_mm: float = Field(ge=10, le=20_000)
+    sweep_deg: float = Field(default=0.0, ge=-60, le=60)
+    twist_deg: float = Field(default=0.0, ge=-30, le=30)
+    dihedral_deg: float = Field(default=0.0, ge=-45, le=45)
+    trailing_edge_mm: float = Field(default=0.0, ge=0, le=100)
     match: Literal["arc_length", "least_twist"] = "arc_length"
 
 
@@ -122,7 +122,7 @@ class DxfFile(Strict):
     file: FileName
     unit: Unit
     layer: Annotated[str, Field(max_length=255, description="one layer of the file; none: all")] | None = None
-    z_mm: Annotated[Far | None, Field(description="height of all points; none: as in the file")] = None
+    z_mm: Far | None = Field(default=None, description="height of all points; none: as in the file")
 
 
 class GuideFile(Strict):
@@ -138,7 +138,7 @@ class GuideFile(Strict):
     bezier_mm: Annotated[tuple[Vector, ...], Field(min_length=2, max_length=16)] | None = None
     dxf: DxfFile | None = None
     rhino: RhinoFile | None = None
-    corner_deg: Annotated[float, Field(ge=1, le=179)] = 20.0
+    corner_deg: float = Field(default=20.0, ge=1, le=179)
     corners_mm: Annotated[tuple[Vector, ...], Field(max_length=1000)] | None = None
 
     @model_validator(mode="after")
@@ -191,8 +191,8 @@ class RuledFile(Strict):
     step: StepRuledFile | None = None
     closed: bool = False
     match: Literal["arc_length", "parameter", "least_twist"] = "arc_length"
-    flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
-    hole: Annotated[bool, Field(description="the part lies around the closed surface")] = False
+    flip: bool = Field(default=False, description="turn the side that faces away from the part")
+    hole: bool = Field(default=False, description="the part lies around the closed surface")
 
     @model_validator(mode="after")
     def _sides(self) -> RuledFile:

@@ -107,10 +107,10 @@ class LoftFile(Strict):
     profiles: tuple[CurveFile, ...] = ()
     sections: tuple[CurveFile, ...] = ()
     region: RegionFile = RegionFile()
-    chord_mm: Annotated[
-        float, Field(ge=0.0005, le=1, description="how far facets may be off the surface")
-    ] = 0.005
-    flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
+    chord_mm: float = Field(
+        default=0.005, ge=0.0005, le=1, description="how far facets may be off the surface"
+    )
+    flip: bool = Field(default=False, description="turn the side that faces away from the part")
 
     @model_validator(mode="after")
     def _complete(self) -> LoftFile:
@@ -159,7 +159,7 @@ class FaceMeshFile(Strict):
     file: FileName
     unit: FileUnit = None
     scale: Scale = 1.0
-    flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
+    flip: bool = Field(default=False, description="turn the side that faces away from the part")
 
 
 class FrontFile(Strict):
@@ -349,7 +349,7 @@ class StripsFile(Strict):
     across: Literal["u", "v"] = "u"
     count: Annotated[int, Field(ge=1, le=ruled_approximation.MOST_STRIPS)] | None = None
     tolerance_mm: Tolerance = 1.0
-    take: Annotated[int, Field(ge=1, le=ruled_approximation.MOST_STRIPS)] = 1
+    take: int = Field(default=1, ge=1, le=ruled_approximation.MOST_STRIPS)
 
     @model_validator(mode="after")
     def _one(self) -> StripsFile:

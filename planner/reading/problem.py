@@ -123,14 +123,14 @@ class SettingsFile(Strict):
     most as much; not for its wire, cutter or forming head, nor for a block that it holds. Unless stated it is
     5, or ``clearance_mm`` where that is less."""
 
-    clearance_mm: Annotated[float, Field(ge=0, le=500)] = Settings.clearance / MM
+    clearance_mm: float = Field(default=Settings.clearance / MM, ge=0, le=500)
     own_clearance_mm: Annotated[float, Field(ge=0, le=500)] | None = None
-    speed_fraction: Annotated[float, Field(ge=0.01, le=1)] = Settings.speed_fraction
-    acceleration_fraction: Annotated[float, Field(ge=0.01, le=1)] = Settings.acceleration_fraction
-    joint_margin_deg: Annotated[float, Field(ge=0, le=45)] = Settings.joint_margin / DEG
-    singularity_margin_deg: Annotated[float, Field(ge=0, le=45)] = Settings.singularity_margin / DEG
-    tcp_speed_mm_s: Annotated[float, Field(ge=1, le=5000)] = Settings.tcp_speed / MM
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = Settings.seed
+    speed_fraction: float = Field(default=Settings.speed_fraction, ge=0.01, le=1)
+    acceleration_fraction: float = Field(default=Settings.acceleration_fraction, ge=0.01, le=1)
+    joint_margin_deg: float = Field(default=Settings.joint_margin / DEG, ge=0, le=45)
+    singularity_margin_deg: float = Field(default=Settings.singularity_margin / DEG, ge=0, le=45)
+    tcp_speed_mm_s: float = Field(default=Settings.tcp_speed / MM, ge=1, le=5000)
+    seed: int = Field(default=Settings.seed, ge=0, lt=2**31)
 
     @model_validator(mode="after")
     def _own_is_less(self) -> SettingsFile:
@@ -171,16 +171,13 @@ class ProblemFile(Strict):
         Annotated[str, Tag("word"), Field(max_length=1000)] | Annotated[CellFile, Tag("mapping")], Choice
     ]
     stock: StockFile | None = None
-    sheet: Annotated[SheetFile | None, Field(description="a clamped sheet to form, in place of a block")] = (
-        None
-    )
+    sheet: SheetFile | None = Field(default=None, description="a clamped sheet to form, in place of a block")
     part: PartFile | None = None
     settings: SettingsFile = SettingsFile()
-    accept: Annotated[
-        tuple[Annotated[str, Field(max_length=60), AfterValidator(_acceptable)], ...],
-        Field(max_length=20, description="codes of errors that are known and wanted, see below"),
-    ] = ()
-    operations: Annotated[list[dict[str, Any]], Field(min_length=1)]
+    accept: tuple[Annotated[str, Field(max_length=60), AfterValidator(_acceptable)], ...] = Field(
+        default=(), max_length=20, description="codes of errors that are known and wanted, see below"
+    )
+    operations: list[dict[str, Any]] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _one_stock(self) -> Self:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Annotated, Final
+from typing import Final
 
 import numpy as np
 from pydantic import Field
@@ -32,46 +32,41 @@ UNIT: Final = "its name: of the mechanical unit (`MECHANICAL_UNIT` in MOC.cfg), 
 class LinearAxisFile(Strict):
     """What a track and an axis of a gantry have alike."""
 
-    axis: Annotated[Vector, Field(description="direction of growing values in the world, any length")]
-    range_mm: Annotated[tuple[float, float], Field(description="least and largest value")]
-    unit: Annotated[Name, Field(description=UNIT)]
-    speed_mm_s: Annotated[float, Field(le=5000, description="its highest")]
-    acceleration_mm_s2: Annotated[float, Field(le=50_000, description="its highest")]
-    home_mm: Annotated[float, Field(description="where it stands before a program begins")] = 0.0
-    carries: Annotated[
-        tuple[Name, ...],
-        Field(max_length=20, description="bodies of `obstacles`, where they are at 0, that stand on it"),
-    ] = ()
+    axis: Vector = Field(description="direction of growing values in the world, any length")
+    range_mm: tuple[float, float] = Field(description="least and largest value")
+    unit: Name = Field(description=UNIT)
+    speed_mm_s: float = Field(le=5000, description="its highest")
+    acceleration_mm_s2: float = Field(le=50_000, description="its highest")
+    home_mm: float = Field(default=0.0, description="where it stands before a program begins")
+    carries: tuple[Name, ...] = Field(
+        default=(), max_length=20, description="bodies of `obstacles`, where they are at 0, that stand on it"
+    )
 
 
 class TrackFile(LinearAxisFile):
     """A linear track under an arm, that takes it from station to station between operations, or goes along
     while the arm works."""
 
-    follow: Annotated[
-        float | None,
-        Field(
-            gt=0.0,
-            le=1.0,
-            description="the share of the tool's way along it that it goes along while the arm works, within "
-            "its range; none: it stands then",
-        ),
-    ] = None
+    follow: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=1.0,
+        description="the share of the tool's way along it that it goes along while the arm works, within "
+        "its range; none: it stands then",
+    )
 
 
 class GantryAxisFile(LinearAxisFile):
     """One axis of a gantry: it takes the axes above it along, and what they carry."""
 
-    name: Annotated[Name, Field(description="what it is called, such as `bridge`")]
-    external_axis: Annotated[
-        int | None,
-        Field(
-            ge=1,
-            le=6,
-            description="which of the targets' external axes it is: 1 is eax_a or E1; none: its place "
-            "from the floor up",
-        ),
-    ] = None
+    name: Name = Field(description="what it is called, such as `bridge`")
+    external_axis: int | None = Field(
+        default=None,
+        ge=1,
+        le=6,
+        description="which of the targets' external axes it is: 1 is eax_a or E1; none: its place "
+        "from the floor up",
+    )
 
 
 NO_GANTRY: Final = (

@@ -58,7 +58,7 @@ Posture = Annotated[tuple[Angle, ...], Field(min_length=6, max_length=7)]
 class LinkMeshFile(Strict):
     """Where a mesh of a URDF lies."""
 
-    name: Annotated[FileName, Field(description="as the URDF names it")]
+    name: FileName = Field(description="as the URDF names it")
     file: FileName
 
 
@@ -66,47 +66,40 @@ class OwnRobotFile(Strict):
     """A robot of one's own: its URDF, and what a URDF does not say."""
 
     urdf: FileName
-    name: Annotated[Name, Field(description="what it is called; not that of a robot that is built in")]
-    title: Annotated[str | None, Field(max_length=100, description="none: its name")] = None
-    base: Annotated[str, Field(description="link that stands where the arm's `base` is")] = "base_link"
-    tip: Annotated[str | None, Field(description="link that tools are on; none: `tool0`, else `flange`")] = (
-        None
+    name: Name = Field(description="what it is called; not that of a robot that is built in")
+    title: str | None = Field(default=None, max_length=100, description="none: its name")
+    base: str = Field(default="base_link", description="link that stands where the arm's `base` is")
+    tip: str | None = Field(default=None, description="link that tools are on; none: `tool0`, else `flange`")
+    family: Literal["abb", "kuka", "ur", "generic"] = Field(
+        description="of its controller: RAPID, KRL or URScript; `generic`: trajectories of ROS 2 alone"
     )
-    family: Annotated[
-        Literal["abb", "kuka", "ur", "generic"],
-        Field(
-            description="of its controller: RAPID, KRL or URScript; `generic`: trajectories of ROS 2 alone"
-        ),
-    ]
-    controller: Annotated[
-        str | None, Field(max_length=50, description="none: IRC5, KRC4, e-Series, not stated")
-    ] = None
-    payload_kg: Annotated[float, Field(ge=0.1, le=5000)]
-    full_speed_after_s: Annotated[
-        float | None, Field(ge=0.01, le=5, description="of every axis from rest; none: 0.4, assumed")
-    ] = None
-    coupled_deg: Annotated[
-        tuple[Angle, Angle] | None,
-        Field(description="of a parallel rod: range of the controller's axis 3, which is axis 2 + axis 3"),
-    ] = None
-    home_deg: Annotated[
-        Posture | None,
-        Field(description="serial joints at home; none: the upper arm upright, the forearm level"),
-    ] = None
-    left_out: Annotated[
-        tuple[str, ...],
-        Field(description="joints beside the chain whose bodies do not count: rods"),
-    ] = ()
-    meshes: Annotated[
-        tuple[LinkMeshFile, ...], Field(description="where meshes lie that are not found from the URDF")
-    ] = ()
-    visuals: Annotated[
-        tuple[LinkMeshFile, ...],
-        Field(description="the same of meshes of <visual>, which are seen and do not count for anything"),
-    ] = ()
-    sources: Annotated[
-        dict[str, str], Field(description="where figures come from, by key: urdf, payload_kg ...")
-    ] = Field(default_factory=dict)
+    controller: str | None = Field(
+        default=None, max_length=50, description="none: IRC5, KRC4, e-Series, not stated"
+    )
+    payload_kg: float = Field(ge=0.1, le=5000)
+    full_speed_after_s: float | None = Field(
+        default=None, ge=0.01, le=5, description="of every axis from rest; none: 0.4, assumed"
+    )
+    coupled_deg: tuple[Angle, Angle] | None = Field(
+        default=None,
+        description="of a parallel rod: range of the controller's axis 3, which is axis 2 + axis 3",
+    )
+    home_deg: Posture | None = Field(
+        default=None, description="serial joints at home; none: the upper arm upright, the forearm level"
+    )
+    left_out: tuple[str, ...] = Field(
+        default=(), description="joints beside the chain whose bodies do not count: rods"
+    )
+    meshes: tuple[LinkMeshFile, ...] = Field(
+        default=(), description="where meshes lie that are not found from the URDF"
+    )
+    visuals: tuple[LinkMeshFile, ...] = Field(
+        default=(), description="the same of meshes of <visual>, which are seen and do not count for anything"
+    )
+    sources: dict[str, str] = Field(
+        default_factory=dict,
+        description="where figures come from, by key: urdf, payload_kg ...",
+    )
 
 
 _STATED: Final = ("payload_kg", "coupled_deg", "home_deg", "full_speed_after_s")

@@ -51,19 +51,15 @@ class ClampFile(Strict):
     move, or give way as a spring.
     """
 
-    width_mm: Annotated[float, Field(ge=1, le=1000, description="of its bars, from the opening outwards")] = (
-        40.0
+    width_mm: float = Field(default=40.0, ge=1, le=1000, description="of its bars, from the opening outwards")
+    above_mm: float = Field(default=15.0, ge=1, le=500, description="how far it stands out on the top side")
+    below_mm: float = Field(default=40.0, ge=1, le=500, description="and below")
+    border: Literal["sliding", "immovable", "spring"] = Field(
+        default="sliding", description="of the sheet in its plane"
     )
-    above_mm: Annotated[float, Field(ge=1, le=500, description="how far it stands out on the top side")] = (
-        15.0
+    spring_n_mm2: float | None = Field(
+        default=None, gt=0, le=1e6, description="stiffness of the border's spring, by its length"
     )
-    below_mm: Annotated[float, Field(ge=1, le=500, description="and below")] = 40.0
-    border: Annotated[
-        Literal["sliding", "immovable", "spring"], Field(description="of the sheet in its plane")
-    ] = "sliding"
-    spring_n_mm2: Annotated[
-        float | None, Field(gt=0, le=1e6, description="stiffness of the border's spring, by its length")
-    ] = None
 
     @model_validator(mode="after")
     def _sprung(self) -> Self:
@@ -81,8 +77,8 @@ class SheetFile(Strict):
     """
 
     size_mm: tuple[Positive, Positive]
-    thickness_mm: Annotated[float, Field(ge=0.05, le=20)]
-    metal: Annotated[str, Field(max_length=60, description="name in the table of sheet metals")]
+    thickness_mm: float = Field(ge=0.05, le=20)
+    metal: str = Field(max_length=60, description="name in the table of sheet metals")
     opening_mm: Annotated[
         Annotated[float, Field(gt=0, le=100_000), Tag("number")]
         | Annotated[tuple[Positive, Positive], Tag("list")],
@@ -192,7 +188,7 @@ class SheetMeshFile(Strict):
     unit: FileUnit = None
     face: Literal["top", "middle", "bottom"]
     frame: Literal["sheet", "find"] = "sheet"
-    down: Annotated[bool, Field(description="with frame find: the part goes down, away from the top")] = True
+    down: bool = Field(default=True, description="with frame find: the part goes down, away from the top")
     tolerance_mm: Annotated[float, Field(gt=0)] | Literal["auto"] = "auto"
 
 

@@ -79,8 +79,8 @@ class StepFaceFile(StepFile):
     be off it. Its normal points away from the part.
     """
 
-    chord_mm: Annotated[float, Field(ge=0.0005, le=1)] = 0.005
-    flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
+    chord_mm: float = Field(default=0.005, ge=0.0005, le=1)
+    flip: bool = Field(default=False, description="turn the side that faces away from the part")
 
 
 def ruled(

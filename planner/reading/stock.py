@@ -78,28 +78,27 @@ class StockFile(Strict):
         | None
     ) = None
     held_by: Name | None = None
-    grip: Annotated[
-        PoseFile | None, Field(description="none: chosen, the middle of the block where that will do")
-    ] = None
-    gripper: Annotated[
-        Name | None, Field(description="one of the cell's grippers; none: the mounted one, or one that fits")
-    ] = None
+    grip: PoseFile | None = Field(
+        default=None, description="none: chosen, the middle of the block where that will do"
+    )
+    gripper: Name | None = Field(
+        default=None, description="one of the cell's grippers; none: the mounted one, or one that fits"
+    )
 
 
 class SetupFile(Strict):
     """What the operator changes before an operation; what is not named stays as it was."""
 
-    tools: Annotated[
-        dict[Name, ToolFile],
-        Field(default_factory=dict, description="tool of each arm that gets another one"),
-    ]
+    tools: dict[Name, ToolFile] = Field(
+        default_factory=dict, description="tool of each arm that gets another one"
+    )
     place: PlaceFile | None = None
     roll_pitch_deg: tuple[Angle, Angle] | None = None
     support: SupportFile | None = None
     oversize_mm: tuple[Sides, Sides, Sides] | None = None
     held_by: Annotated[Name | Literal["nobody"], Field(description="nobody: the block stands")] | None = None
     grip: PoseFile | None = None
-    note: Annotated[str, Field(max_length=200, description="what else the operator is told")] = ""
+    note: str = Field(default="", max_length=200, description="what else the operator is told")
 
 
 def stock(spec: StockFile, folder: Path) -> Stock:

@@ -90,14 +90,13 @@ class Adsif(Strict):
     ``file``: a table of one's own with the columns of the built-in one; its conditions are stated here.
     """
 
-    prefer: Annotated[
-        Literal["angle", "gap"],
-        Field(description="small position angle, or large gap, which needs less force"),
-    ] = "angle"
-    pitch_mm: Annotated[float, Field(gt=0, le=5)] = 0.2
-    projection_mm: Annotated[float, Field(gt=0, le=50, description="projection distance")] = 1.6
-    force_n: Annotated[float, Field(ge=0, le=100_000)] = 0.0
-    stiffness_n_mm: Annotated[float | None, Field(gt=0, description="of tool and arm across the gap")] = None
+    prefer: Literal["angle", "gap"] = Field(
+        default="angle", description="small position angle, or large gap, which needs less force"
+    )
+    pitch_mm: float = Field(default=0.2, gt=0, le=5)
+    projection_mm: float = Field(default=1.6, gt=0, le=50, description="projection distance")
+    force_n: float = Field(default=0.0, ge=0, le=100_000)
+    stiffness_n_mm: float | None = Field(default=None, gt=0, description="of tool and arm across the gap")
     file: Annotated[Path | None, AfterValidator(_from_the_problem_file)] = None
 
     @model_validator(mode="after")
@@ -118,12 +117,12 @@ class Die(Strict):
     file: Annotated[Path, AfterValidator(_from_the_problem_file)]
     unit: Unit
     kind: Literal["male", "female"]
-    full: Annotated[bool, Field(description="the die has the whole part's shape")] = True
+    full: bool = Field(default=True, description="the die has the whole part's shape")
     holder: Literal["fixed", "sinking"] = "fixed"
-    signal: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")] = "doBlankHolder"
-    step_mm: Annotated[
-        float | None, Field(ge=0.02, le=20, description="by which the holder sinks at each pulse")
-    ] = None
+    signal: str = Field(default="doBlankHolder", pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")
+    step_mm: float | None = Field(
+        default=None, ge=0.02, le=20, description="by which the holder sinks at each pulse"
+    )
 
 
 class PartScan(Strict):
@@ -142,10 +141,8 @@ class Springback(Strict):
 
     file: Annotated[Path, AfterValidator(_from_the_problem_file)]
     scan: PartScan | None = None
-    slope: Annotated[float, Field(ge=0.001, le=0.5, description="of the shift along the path, in mm/mm")] = (
-        0.05
-    )
-    most_mm: Annotated[float, Field(gt=0, le=12, description="largest shift")] = 10.0
+    slope: float = Field(default=0.05, ge=0.001, le=0.5, description="of the shift along the path, in mm/mm")
+    most_mm: float = Field(default=10.0, gt=0, le=12, description="largest shift")
 
 
 LEVEL_MODES = frozenset({"spif", "dsif", "dpif_l", "heat"})
@@ -160,15 +157,13 @@ class ForceBy(Strict):
     by place.
     """
 
-    table: Annotated[
-        list[tuple[Height, Newton]] | None,
-        Field(
-            min_length=2,
-            max_length=1000,
-            description="rows of z of the contact in the sheet's frame [mm], ascending or descending, and "
-            "the force along z [N] there; between rows it goes on evenly",
-        ),
-    ] = None
+    table: list[tuple[Height, Newton]] | None = Field(
+        default=None,
+        min_length=2,
+        max_length=1000,
+        description="rows of z of the contact in the sheet's frame [mm], ascending or descending, and "
+        "the force along z [N] there; between rows it goes on evenly",
+    )
     file: Annotated[Path | None, AfterValidator(_from_the_problem_file)] = None
 
     @model_validator(mode="after")
@@ -203,17 +198,15 @@ class Level(Strict):
     which the level before ends.
     """
 
-    number: Annotated[int, Field(ge=0, lt=100_000)]
+    number: int = Field(ge=0, lt=100_000)
     pass_name: Name | None = None
     file: Annotated[Path | None, AfterValidator(_from_the_problem_file)] = None
-    plan: Annotated[
-        str | None, Field(pattern="^[0-9a-f]{64}$", description="digest of the problem that the file is of")
-    ] = None
-    slope: Annotated[float, Field(ge=0.001, le=0.5, description="of the shift along the path, in mm/mm")] = (
-        0.05
+    plan: str | None = Field(
+        default=None, pattern="^[0-9a-f]{64}$", description="digest of the problem that the file is of"
     )
-    most_mm: Annotated[float, Field(gt=0, le=12, description="largest shift")] = 10.0
-    before_mm: Annotated[float, Field(ge=0, le=12, description="shift at which the level before ends")] = 0.0
+    slope: float = Field(default=0.05, ge=0.001, le=0.5, description="of the shift along the path, in mm/mm")
+    most_mm: float = Field(default=10.0, gt=0, le=12, description="largest shift")
+    before_mm: float = Field(default=0.0, ge=0, le=12, description="shift at which the level before ends")
 
 
 class Forming(Strict):
@@ -226,101 +219,89 @@ class Forming(Strict):
 
     name: Name
     process: Literal["forming"]
-    arms: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
+    arms: tuple[str, ...] = Field(min_length=1, max_length=2)
     mode: Mode
-    side: Annotated[Literal["top", "bottom"], Field(description="of the tool of one arm alone")] = "top"
+    side: Literal["top", "bottom"] = Field(default="top", description="of the tool of one arm alone")
     path: Literal["helical", "contour", "alternating", "stepped"] = "helical"
-    stepdown_mm: Annotated[float | None, Field(ge=0.02, le=20)] = None
-    scallop_mm: Annotated[
-        float | None, Field(ge=0.0005, le=2, description="height of the ridges between loops; sets the steps")
-    ] = None
-    tangent_deg: Annotated[
-        float, Field(ge=0.2, le=30, description="a target where the path has turned by so much")
-    ] = 4.0
-    chord_mm: Annotated[
-        float, Field(ge=0.002, le=1, description="how far straight moves may be off the path")
-    ] = 0.05
-    longest_mm: Annotated[
-        float, Field(ge=0.2, le=200, description="longest move; two controllers drift apart by no more")
-    ] = 20.0
-    seam_deg: Annotated[Angle, Field(description="where loops begin, about the feature's middle")] = 0.0
-    direction: Literal["ccw", "cw"] = "ccw"
-    feature_step_mm: Annotated[
-        float, Field(ge=0.02, le=10, description="distance of the slices that find the features")
-    ] = 0.5
-    strategy: Annotated[
-        Literal["in_place", "virgin"],
-        Field(description="parents first, in place; or inner features first, on the flat sheet"),
-    ] = "in_place"
-    features: Annotated[
-        tuple[int, ...] | None,
-        Field(
-            min_length=1,
-            max_length=10_000,
-            description="numbers of those that this operation forms, as `tandem features` prints them; "
-            "others are formed by other operations. None: all",
-        ),
-    ] = None
-    hole_margin_mm: Annotated[
-        float,
-        Field(
-            ge=0.5,
-            le=200,
-            description="least distance, seen along z, of what is formed and of the tools from curves along "
-            "which the sheet was cut before",
-        ),
-    ] = 5.0
-    order: Annotated[tuple[int, ...] | None, Field(description="features in an order of one's own")] = None
-    squeeze: Annotated[float, Field(ge=0.5, le=1.2, description="gap over the thickness by the sine law")] = (
-        1.0
+    stepdown_mm: float | None = Field(default=None, ge=0.02, le=20)
+    scallop_mm: float | None = Field(
+        default=None, ge=0.0005, le=2, description="height of the ridges between loops; sets the steps"
     )
-    shift_deg: Annotated[
-        float, Field(ge=0, le=90, description="of the support around the former, up to the wall angle")
-    ] = 0.0
-    angle_step_deg: Annotated[
-        float, Field(ge=1, le=45, description="between intermediate shapes of steep walls")
-    ] = 15.0
-    passes: Annotated[
-        Literal["auto"] | tuple[float, ...],
-        Field(description="wall angles [deg] of the passes; auto: as the metal needs"),
-    ] = "auto"
-    repeats: Annotated[int, Field(ge=1, le=10, description="times that each pass is run")] = 1
-    feed_mm_s: Annotated[float, Field(ge=0.5, le=500, description="of both tools' TCPs on the sheet")] = 25.0
-    lean_deg: Annotated[
-        float, Field(ge=0, le=60, description="of the tools from the sheet's normal toward the surface's")
-    ] = 0.0
-    cone_deg: Annotated[
-        float, Field(ge=0, le=45, description="how far motion may tilt the tools from there")
-    ] = 0.0
-    force_n: Annotated[
-        float | None, Field(gt=0, le=100_000, description="on the former; none: by a formula")
-    ] = None
+    tangent_deg: float = Field(
+        default=4.0, ge=0.2, le=30, description="a target where the path has turned by so much"
+    )
+    chord_mm: float = Field(
+        default=0.05, ge=0.002, le=1, description="how far straight moves may be off the path"
+    )
+    longest_mm: float = Field(
+        default=20.0, ge=0.2, le=200, description="longest move; two controllers drift apart by no more"
+    )
+    seam_deg: Angle = Field(default=0.0, description="where loops begin, about the feature's middle")
+    direction: Literal["ccw", "cw"] = "ccw"
+    feature_step_mm: float = Field(
+        default=0.5, ge=0.02, le=10, description="distance of the slices that find the features"
+    )
+    strategy: Literal["in_place", "virgin"] = Field(
+        default="in_place", description="parents first, in place; or inner features first, on the flat sheet"
+    )
+    features: tuple[int, ...] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=10_000,
+        description="numbers of those that this operation forms, as `tandem features` prints them; "
+        "others are formed by other operations. None: all",
+    )
+    hole_margin_mm: float = Field(
+        default=5.0,
+        ge=0.5,
+        le=200,
+        description="least distance, seen along z, of what is formed and of the tools from curves along "
+        "which the sheet was cut before",
+    )
+    order: tuple[int, ...] | None = Field(default=None, description="features in an order of one's own")
+    squeeze: float = Field(default=1.0, ge=0.5, le=1.2, description="gap over the thickness by the sine law")
+    shift_deg: float = Field(
+        default=0.0, ge=0, le=90, description="of the support around the former, up to the wall angle"
+    )
+    angle_step_deg: float = Field(
+        default=15.0, ge=1, le=45, description="between intermediate shapes of steep walls"
+    )
+    passes: Literal["auto"] | tuple[float, ...] = Field(
+        default="auto", description="wall angles [deg] of the passes; auto: as the metal needs"
+    )
+    repeats: int = Field(default=1, ge=1, le=10, description="times that each pass is run")
+    feed_mm_s: float = Field(default=25.0, ge=0.5, le=500, description="of both tools' TCPs on the sheet")
+    lean_deg: float = Field(
+        default=0.0, ge=0, le=60, description="of the tools from the sheet's normal toward the surface's"
+    )
+    cone_deg: float = Field(
+        default=0.0, ge=0, le=45, description="how far motion may tilt the tools from there"
+    )
+    force_n: float | None = Field(
+        default=None, gt=0, le=100_000, description="on the former; none: by a formula"
+    )
     force_by: ForceBy | None = None
-    support_force_n: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=100_000,
-            description="along z, by which the support presses the sheet against the former; what is left "
-            "of the former's force bends the sheet",
-        ),
-    ] = None
-    gouge_tol_mm: Annotated[float, Field(ge=0.002, le=1)] = 0.05
-    gap_tol_mm: Annotated[float, Field(ge=0.002, le=1)] = 0.02
-    handshake_gap_mm: Annotated[
-        float, Field(ge=0, le=10, description="how far the gap may be off with two controllers a step apart")
-    ] = 0.5
-    share: Annotated[
-        float, Field(gt=0.5, le=1, description="part of the walls that must be formed within tolerance")
-    ] = 0.95
-    unreached_mm: Annotated[
-        float | None,
-        Field(
-            ge=0.02,
-            le=100,
-            description="how far balls may stay off the part where they do not fit; none: told",
-        ),
-    ] = None
+    support_force_n: float | None = Field(
+        default=None,
+        ge=0,
+        le=100_000,
+        description="along z, by which the support presses the sheet against the former; what is left "
+        "of the former's force bends the sheet",
+    )
+    gouge_tol_mm: float = Field(default=0.05, ge=0.002, le=1)
+    gap_tol_mm: float = Field(default=0.02, ge=0.002, le=1)
+    handshake_gap_mm: float = Field(
+        default=0.5, ge=0, le=10, description="how far the gap may be off with two controllers a step apart"
+    )
+    share: float = Field(
+        default=0.95, gt=0.5, le=1, description="part of the walls that must be formed within tolerance"
+    )
+    unreached_mm: float | None = Field(
+        default=None,
+        ge=0.02,
+        le=100,
+        description="how far balls may stay off the part where they do not fit; none: told",
+    )
     adsif: Adsif = Adsif()
     die: Die | None = None
     springback: Springback | None = None

@@ -40,10 +40,10 @@ class Heat(Strict):
 
     kerf_mm: Annotated[float, Field(ge=0, le=20, description="width of the slot")] | None = None
     power_w: Annotated[float, Field(gt=0, le=5000, description="over the wire's whole length")] | None = None
-    kerf_range_mm: Annotated[
-        tuple[Annotated[float, Field(gt=0, le=20)], Annotated[float, Field(gt=0, le=20)]],
-        Field(description="slots that leave usable faces, where power_w is given"),
-    ] = (width.USABLE_KERFS[0] / MM, width.USABLE_KERFS[1] / MM)
+    kerf_range_mm: tuple[Annotated[float, Field(gt=0, le=20)], Annotated[float, Field(gt=0, le=20)]] = Field(
+        default=(width.USABLE_KERFS[0] / MM, width.USABLE_KERFS[1] / MM),
+        description="slots that leave usable faces, where power_w is given",
+    )
 
     @model_validator(mode="after")
     def _one_heat(self) -> Heat:
@@ -78,16 +78,18 @@ class HotWireOperation(Heat):
     """An operation that cuts foam with a hot wire."""
 
     name: Name
-    feed_mm_s: Annotated[
-        float, Field(ge=0.1, le=200, description="upper limit of the wire's fastest point in foam")
-    ] = 8.0
-    feed_min_mm_s: Annotated[float, Field(ge=0, le=200, description="a slower wire burns the foam")] = 3.0
-    share: Annotated[
-        float, Field(gt=0.5, le=1, description="part of each surface that must be within tolerance")
-    ] = 0.95
-    signal: Annotated[
-        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="output that powers the wire")
-    ] = Controller.wire_signal
+    feed_mm_s: float = Field(
+        default=8.0, ge=0.1, le=200, description="upper limit of the wire's fastest point in foam"
+    )
+    feed_min_mm_s: float = Field(default=3.0, ge=0, le=200, description="a slower wire burns the foam")
+    share: float = Field(
+        default=0.95, gt=0.5, le=1, description="part of each surface that must be within tolerance"
+    )
+    signal: str = Field(
+        default=Controller.wire_signal,
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$",
+        description="output that powers the wire",
+    )
 
     @model_validator(mode="after")
     def _feeds_in_order(self) -> Self:
@@ -103,39 +105,37 @@ class ElasticWire(HotWireOperation):
     """Two arms bend one hot wire and sweep it through the block along the faces of the part."""
 
     process: Literal["elastic_wire"]
-    arms: Annotated[tuple[Name, Name], Field(description="the arm at the wire's start, the arm at its end")]
-    wire: Annotated[
-        WireFile | None, Field(description="none: one of the cell's wires, chosen by trying them")
-    ] = None
-    faces: Annotated[tuple[Face, ...], Field(min_length=1, max_length=2)] = ("front", "back")
-    runs: Annotated[
-        Literal["one", "two"], Field(description="one: there and back; two: both faces in the same direction")
-    ] = "one"
-    sweep: Annotated[
-        Literal["auto", "x", "y"] | Annotated[float, Field(ge=-360, le=360)],
-        Field(description="direction across the wire, horizontal in the block; a number is degrees from x"),
-    ] = "auto"
-    sections: Annotated[
-        Literal["auto", "parallel", "normal"],
-        Field(
-            description="planes upright and parallel, or normal to the face's spine; auto: normal for a strip"
-        ),
-    ] = "auto"
-    shape_tol_mm: Annotated[float, Field(ge=0.01, le=50)] = 0.5
-    end_error_mm: Annotated[
-        float, Field(ge=0, le=5, description="how far each wire end may be off in reality")
-    ] = 0.05
-    step_mm: Annotated[
-        float, Field(ge=0.2, le=50, description="travel of the fastest point between targets")
-    ] = 3.0
-    margin_mm: Annotated[
-        float, Field(ge=1, le=300, description="of wire ends, and of the wire in air, to the block")
-    ] = 20.0
-    slack_mm: Annotated[
-        float, Field(ge=0, le=500, description="how far the wire may slide along itself, either way")
-    ] = 20.0
-    heat_up_s: Annotated[float, Field(ge=0, le=600)] = 10.0
-    cool_down_s: Annotated[float, Field(ge=0, le=600)] = 30.0
+    arms: tuple[Name, Name] = Field(description="the arm at the wire's start, the arm at its end")
+    wire: WireFile | None = Field(
+        default=None, description="none: one of the cell's wires, chosen by trying them"
+    )
+    faces: tuple[Face, ...] = Field(default=("front", "back"), min_length=1, max_length=2)
+    runs: Literal["one", "two"] = Field(
+        default="one", description="one: there and back; two: both faces in the same direction"
+    )
+    sweep: Literal["auto", "x", "y"] | Annotated[float, Field(ge=-360, le=360)] = Field(
+        default="auto",
+        description="direction across the wire, horizontal in the block; a number is degrees from x",
+    )
+    sections: Literal["auto", "parallel", "normal"] = Field(
+        default="auto",
+        description="planes upright and parallel, or normal to the face's spine; auto: normal for a strip",
+    )
+    shape_tol_mm: float = Field(default=0.5, ge=0.01, le=50)
+    end_error_mm: float = Field(
+        default=0.05, ge=0, le=5, description="how far each wire end may be off in reality"
+    )
+    step_mm: float = Field(
+        default=3.0, ge=0.2, le=50, description="travel of the fastest point between targets"
+    )
+    margin_mm: float = Field(
+        default=20.0, ge=1, le=300, description="of wire ends, and of the wire in air, to the block"
+    )
+    slack_mm: float = Field(
+        default=20.0, ge=0, le=500, description="how far the wire may slide along itself, either way"
+    )
+    heat_up_s: float = Field(default=10.0, ge=0, le=600)
+    cool_down_s: float = Field(default=30.0, ge=0, le=600)
 
     def leaves(self, stock: Stock) -> Stock:
         """The block as it was: what is cut stays in its place."""
@@ -204,13 +204,13 @@ Axis = Literal["x", "y", "z"]
 class _Cut(Strict):
     """What all cuts have."""
 
-    leave: Annotated[
-        Literal["onwards", "back"],
-        Field(description="how the wire leaves the foam: on the far side, or back through its own slot"),
-    ] = "onwards"
-    feed_mm_s: Annotated[
-        float | None, Field(ge=0.1, le=200, description="of this cut; none: that of the operation")
-    ] = None
+    leave: Literal["onwards", "back"] = Field(
+        default="onwards",
+        description="how the wire leaves the foam: on the far side, or back through its own slot",
+    )
+    feed_mm_s: float | None = Field(
+        default=None, ge=0.1, le=200, description="of this cut; none: that of the operation"
+    )
 
 
 class SurfaceCut(_Cut):
@@ -220,7 +220,7 @@ class SurfaceCut(_Cut):
     surface: Name
     lead: Literal["auto"] | tuple[Far, Far, Far] = "auto"
     last: Literal["top", "bottom", "any"] | tuple[Far, Far, Far] = "top"
-    reverse: Annotated[bool, Field(description="an open strip from its last ruling to its first")] = False
+    reverse: bool = Field(default=False, description="an open strip from its last ruling to its first")
 
     @model_validator(mode="after")
     def _directions(self) -> Self:
@@ -234,9 +234,9 @@ class TrimCut(_Cut):
     """The block's oversize is cut off at the sides named, so that the datum block remains. ``along``: the
     axis that the wire is parallel to."""
 
-    trim: Annotated[tuple[Side, ...], Field(min_length=1, max_length=6)]
+    trim: tuple[Side, ...] = Field(min_length=1, max_length=6)
     along: Literal["auto"] | Axis = "auto"
-    reverse: Annotated[bool, Field(description="the other way through the block")] = False
+    reverse: bool = Field(default=False, description="the other way through the block")
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
@@ -272,41 +272,39 @@ class Straight(HotWireOperation):
     it holds the block, moves it."""
 
     process: Literal["straight_wire"]
-    arms: Annotated[
-        tuple[Name, ...],
-        Field(
-            min_length=1, max_length=2, description="the arm with the bow, and the arm that holds the block"
-        ),
-    ]
-    cuts: Annotated[
-        Cuts, Field(description="in this order; all: every ruled surface, holes first and outlines last")
-    ] = "all"
-    wire_material: Annotated[str, Field(max_length=60, description="for the setup sheet")] = ""
-    shape_tol_mm: Annotated[float, Field(ge=0.01, le=50)] = 0.3
-    left_mm: Annotated[
-        float, Field(ge=0, le=100, description="how deep foam may stay where a round wire cannot reach")
-    ] = 5.0
-    step_mm: Annotated[
-        float, Field(ge=0.2, le=50, description="travel of the fastest point between targets")
-    ] = 4.0
-    margin_mm: Annotated[
-        float, Field(ge=1, le=300, description="of the wire's ends, and of the wire in the air, to the block")
-    ] = 20.0
-    air_feed_mm_s: Annotated[
-        float,
-        Field(ge=1, le=1000, description="of the wire in the air between cuts: faster, it cools and swings"),
-    ] = AIR_FEED / MM
-    holder: Annotated[
-        Literal["full", "turn"],
-        Field(description="what a holder may do: all of it, or only turn about its tool's axis"),
-    ] = "full"
-    move_mm: Annotated[float, Field(ge=0, le=2000, description="how far a holder moves the block")] = 300.0
+    arms: tuple[Name, ...] = Field(
+        min_length=1, max_length=2, description="the arm with the bow, and the arm that holds the block"
+    )
+    cuts: Cuts = Field(
+        default="all", description="in this order; all: every ruled surface, holes first and outlines last"
+    )
+    wire_material: str = Field(default="", max_length=60, description="for the setup sheet")
+    shape_tol_mm: float = Field(default=0.3, ge=0.01, le=50)
+    left_mm: float = Field(
+        default=5.0, ge=0, le=100, description="how deep foam may stay where a round wire cannot reach"
+    )
+    step_mm: float = Field(
+        default=4.0, ge=0.2, le=50, description="travel of the fastest point between targets"
+    )
+    margin_mm: float = Field(
+        default=20.0, ge=1, le=300, description="of the wire's ends, and of the wire in the air, to the block"
+    )
+    air_feed_mm_s: float = Field(
+        default=AIR_FEED / MM,
+        ge=1,
+        le=1000,
+        description="of the wire in the air between cuts: faster, it cools and swings",
+    )
+    holder: Literal["full", "turn"] = Field(
+        default="full", description="what a holder may do: all of it, or only turn about its tool's axis"
+    )
+    move_mm: float = Field(default=300.0, ge=0, le=2000, description="how far a holder moves the block")
     tilt_deg: Annotated[Angle, Field(ge=0, le=90, description="how far a holder tilts the block")] = 40.0
-    spacers: Annotated[
-        bool, Field(description="ask for spacers where what is above a cut would drop by a kerf")
-    ] = False
-    heat_up_s: Annotated[float, Field(ge=0, le=600)] = 5.0
-    cool_down_s: Annotated[float, Field(ge=0, le=600)] = 10.0
+    spacers: bool = Field(
+        default=False, description="ask for spacers where what is above a cut would drop by a kerf"
+    )
+    heat_up_s: float = Field(default=5.0, ge=0, le=600)
+    cool_down_s: float = Field(default=10.0, ge=0, le=600)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -61,53 +61,48 @@ class GCodeFile(Strict):
     """
 
     file: Annotated[Path, AfterValidator(_from_the_problem_file)]
-    origin: Annotated[PlaceFile, Field(description="the file's frame in the frame of the stock")]
-    unit: Annotated[Literal["mm", "in"] | None, Field(description="until G20 or G21")] = None
-    distance: Annotated[Literal["absolute", "incremental"] | None, Field(description="until G90 or G91")] = (
-        None
+    origin: PlaceFile = Field(description="the file's frame in the frame of the stock")
+    unit: Literal["mm", "in"] | None = Field(default=None, description="until G20 or G21")
+    distance: Literal["absolute", "incremental"] | None = Field(default=None, description="until G90 or G91")
+    motion: Literal["rapid", "linear"] | None = Field(default=None, description="until G0 to G3")
+    plane: Literal["xy", "zx", "yz"] | None = Field(default=None, description="until G17, G18 or G19")
+    arc_centre: Literal["incremental", "absolute"] = Field(
+        default="incremental",
+        description="I J K of arcs from the arc's start, or from the origin; until G90.1 or G91.1",
     )
-    motion: Annotated[Literal["rapid", "linear"] | None, Field(description="until G0 to G3")] = None
-    plane: Annotated[Literal["xy", "zx", "yz"] | None, Field(description="until G17, G18 or G19")] = None
-    arc_centre: Annotated[
-        Literal["incremental", "absolute"],
-        Field(description="I J K of arcs from the arc's start, or from the origin; until G90.1 or G91.1"),
-    ] = "incremental"
-    feed_mode: Annotated[FeedMode | None, Field(description="until G93, G94 or G95")] = None
-    feed_mm_min: Annotated[float | None, Field(ge=1, le=200_000, description="until the first F")] = None
-    spindle_rpm: Annotated[
-        float | None, Field(ge=1, le=200_000, description="runs from the start, until M3, M4, M5 or S")
-    ] = None
-    dwell: Annotated[Literal["s", "ms"] | None, Field(description="what P of a G4 counts")] = None
-    tool_axis: Annotated[
-        Literal["fixed", "ijk", "rotary"],
-        Field(description="along +z of the file; I J K of straight moves; the angles of a machine"),
-    ] = "fixed"
-    ijk_to: Annotated[
-        Literal["spindle", "tip"], Field(description="where I J K points, from the tip or to it")
-    ] = "spindle"
-    convention: Annotated[
-        ConventionName | None, Field(description="of a machine with rotary axes: what carries what")
-    ] = None
-    reverse: Annotated[
-        tuple[Literal["A", "B", "C"], ...], Field(max_length=3, description="axes counted the other way")
-    ] = ()
-    start_mm: Annotated[
-        Vector | None, Field(description="where the tip is before the first line; none: unknown")
-    ] = None
-    offsets: Annotated[
-        Mapping[Offset, Vector], Field(description="what G54 to G59 add, in mm, to places of the file")
-    ] = {}
-    block_delete: Annotated[bool | None, Field(description="leave lines with / out")] = None
-    skip: Annotated[
-        tuple[Code, ...], Field(max_length=50, description="codes to pass over, such as M8, each told")
-    ] = ()
-    tool: Annotated[
-        int | None, Field(ge=0, le=99_999, description="take the moves of this tool of the file alone")
-    ] = None
-    chord_tol_mm: Annotated[float, Field(ge=1e-4, le=1, description="of pieces of arcs")] = 0.005
-    angle_tol_deg: Annotated[float, Field(ge=1e-3, le=1, description="of the tool axis between targets")] = (
-        0.02
+    feed_mode: FeedMode | None = Field(default=None, description="until G93, G94 or G95")
+    feed_mm_min: float | None = Field(default=None, ge=1, le=200_000, description="until the first F")
+    spindle_rpm: float | None = Field(
+        default=None, ge=1, le=200_000, description="runs from the start, until M3, M4, M5 or S"
     )
+    dwell: Literal["s", "ms"] | None = Field(default=None, description="what P of a G4 counts")
+    tool_axis: Literal["fixed", "ijk", "rotary"] = Field(
+        default="fixed", description="along +z of the file; I J K of straight moves; the angles of a machine"
+    )
+    ijk_to: Literal["spindle", "tip"] = Field(
+        default="spindle", description="where I J K points, from the tip or to it"
+    )
+    convention: ConventionName | None = Field(
+        default=None, description="of a machine with rotary axes: what carries what"
+    )
+    reverse: tuple[Literal["A", "B", "C"], ...] = Field(
+        default=(), max_length=3, description="axes counted the other way"
+    )
+    start_mm: Vector | None = Field(
+        default=None, description="where the tip is before the first line; none: unknown"
+    )
+    offsets: Mapping[Offset, Vector] = Field(
+        default={}, description="what G54 to G59 add, in mm, to places of the file"
+    )
+    block_delete: bool | None = Field(default=None, description="leave lines with / out")
+    skip: tuple[Code, ...] = Field(
+        default=(), max_length=50, description="codes to pass over, such as M8, each told"
+    )
+    tool: int | None = Field(
+        default=None, ge=0, le=99_999, description="take the moves of this tool of the file alone"
+    )
+    chord_tol_mm: float = Field(default=0.005, ge=1e-4, le=1, description="of pieces of arcs")
+    angle_tol_deg: float = Field(default=0.02, ge=1e-3, le=1, description="of the tool axis between targets")
 
     @model_validator(mode="after")
     def _machine(self) -> Self:
@@ -162,10 +157,9 @@ class GCodeCut(Strict):
 
     gcode: GCodeFile
     name: Name = "program"
-    shape_tol_mm: Annotated[
-        float | None,
-        Field(ge=0.005, le=20, description="of the tip to the file's way; none: that of the operation"),
-    ] = None
+    shape_tol_mm: float | None = Field(
+        default=None, ge=0.005, le=20, description="of the tip to the file's way; none: that of the operation"
+    )
 
 
 def _metres(vector: Vector) -> Triple:
@@ -179,12 +173,12 @@ SafeSide = Literal["top", "left", "right", "front", "back"]
 class _Cut(Strict):
     """What all cuts have."""
 
-    feed_mm_s: Annotated[
-        float | None, Field(ge=0.1, le=500, description="of this cut; none: that of the operation")
-    ] = None
-    shape_tol_mm: Annotated[
-        float | None, Field(ge=0.005, le=20, description="of this cut; none: that of the operation")
-    ] = None
+    feed_mm_s: float | None = Field(
+        default=None, ge=0.1, le=500, description="of this cut; none: that of the operation"
+    )
+    shape_tol_mm: float | None = Field(
+        default=None, ge=0.005, le=20, description="of this cut; none: that of the operation"
+    )
 
 
 class FlankCut(_Cut):
@@ -200,19 +194,18 @@ class FlankCut(_Cut):
     guides: Literal["surface", "tool"] = "surface"
     tip: Literal["start", "end"] = "start"
     direction: Literal["climb", "conventional", "along", "against"] = "along"
-    overrun_mm: Annotated[
-        float, Field(ge=0, le=200, description="how far the tip goes beyond its guide; a ball or corner more")
-    ] = 1.0
-    stepdown_mm: Annotated[
-        float | None, Field(ge=0.5, le=500, description="depth of a roughing pass; none: no roughing")
-    ] = None
-    leave_mm: Annotated[
-        float, Field(ge=0, le=50, description="what roughing leaves for the finishing pass")
-    ] = 1.0
-    lead_mm: Annotated[
-        float | None,
-        Field(ge=0, le=1000, description="length of the ways in and out; none: out of the block"),
-    ] = None
+    overrun_mm: float = Field(
+        default=1.0, ge=0, le=200, description="how far the tip goes beyond its guide; a ball or corner more"
+    )
+    stepdown_mm: float | None = Field(
+        default=None, ge=0.5, le=500, description="depth of a roughing pass; none: no roughing"
+    )
+    leave_mm: float = Field(
+        default=1.0, ge=0, le=50, description="what roughing leaves for the finishing pass"
+    )
+    lead_mm: float | None = Field(
+        default=None, ge=0, le=1000, description="length of the ways in and out; none: out of the block"
+    )
 
 
 class LinesCut(_Cut):
@@ -222,20 +215,22 @@ class LinesCut(_Cut):
     leant forward along the feed by ``lead_deg`` and to the left by ``tilt_deg``; or upright.
     """
 
-    lines: Annotated[Literal["front"], Field(description="the face that is milled")]
-    stepover_mm: Annotated[float | None, Field(ge=0.05, le=200)] = None
-    scallop_mm: Annotated[
-        float | None, Field(ge=0.001, le=5, description="height of the ridges between lines")
-    ] = None
-    angle_deg: Annotated[Angle, Field(description="of the lines, about z from x")] = 0.0
-    zigzag: Annotated[bool, Field(description="every other line the other way")] = True
-    margin_mm: Annotated[
-        float,
-        Field(ge=0, le=500, description="width of the strip along the face's edge that is left as it is"),
-    ] = 0.0
+    lines: Literal["front"] = Field(description="the face that is milled")
+    stepover_mm: float | None = Field(default=None, ge=0.05, le=200)
+    scallop_mm: float | None = Field(
+        default=None, ge=0.001, le=5, description="height of the ridges between lines"
+    )
+    angle_deg: Angle = Field(default=0.0, description="of the lines, about z from x")
+    zigzag: bool = Field(default=True, description="every other line the other way")
+    margin_mm: float = Field(
+        default=0.0,
+        ge=0,
+        le=500,
+        description="width of the strip along the face's edge that is left as it is",
+    )
     axis: Literal["normal", "upright"] = "normal"
-    lead_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
-    tilt_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
+    lead_deg: float = Field(default=0.0, ge=-60, le=60)
+    tilt_deg: float = Field(default=0.0, ge=-60, le=60)
 
     @model_validator(mode="after")
     def _one_step(self) -> Self:
@@ -276,16 +271,15 @@ class EngraveCut(_Cut):
     ``axis_curves``: for each curve a second one through which the tool's axis goes, in the same order.
     """
 
-    engrave: Annotated[
-        tuple[EngravedFile, ...],
-        Field(min_length=1, max_length=500, description="curves; their z is not looked at"),
-    ]
+    engrave: tuple[EngravedFile, ...] = Field(
+        min_length=1, max_length=500, description="curves; their z is not looked at"
+    )
     name: Name = "pattern"
-    depth_mm: Annotated[float, Field(ge=0, le=100, description="below the surface, along its normal")]
+    depth_mm: float = Field(ge=0, le=100, description="below the surface, along its normal")
     axis: Literal["normal", "upright", "curves"] = "normal"
-    axis_curves: Annotated[tuple[EngravedFile, ...], Field(max_length=500)] = ()
-    lead_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
-    tilt_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
+    axis_curves: tuple[EngravedFile, ...] = Field(default=(), max_length=500)
+    lead_deg: float = Field(default=0.0, ge=-60, le=60)
+    tilt_deg: float = Field(default=0.0, ge=-60, le=60)
 
     @field_validator("engrave", "axis_curves")
     @classmethod
@@ -330,30 +324,28 @@ class Milling(Strict):
 
     name: Name
     process: Literal["milling"]
-    arms: Annotated[tuple[Name, ...], Field(min_length=1, max_length=1)]
-    cuts: Annotated[tuple[AnyCut, ...], Field(min_length=1, max_length=200)]
-    feed_mm_s: Annotated[float, Field(ge=0.1, le=500, description="of the fastest point that cuts")] = 20.0
-    plunge_mm_s: Annotated[float, Field(ge=0.1, le=500, description="down onto the block")] = 10.0
-    rapid_mm_s: Annotated[float, Field(ge=1, le=5000, description="above the safe plane")] = 150.0
-    spindle_rpm: Annotated[float, Field(ge=1, le=100_000, description="told to the operator")] = 12_000.0
-    signal: Annotated[
-        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="that switches the spindle")
-    ] = "doSpindle"
-    spin_up_s: Annotated[float, Field(ge=0, le=600)] = 5.0
-    spin_down_s: Annotated[float, Field(ge=0, le=600)] = 10.0
-    safe_side: Annotated[SafeSide, Field(description="side of the block on which the tool moves freely")] = (
-        "top"
+    arms: tuple[Name, ...] = Field(min_length=1, max_length=1)
+    cuts: tuple[AnyCut, ...] = Field(min_length=1, max_length=200)
+    feed_mm_s: float = Field(default=20.0, ge=0.1, le=500, description="of the fastest point that cuts")
+    plunge_mm_s: float = Field(default=10.0, ge=0.1, le=500, description="down onto the block")
+    rapid_mm_s: float = Field(default=150.0, ge=1, le=5000, description="above the safe plane")
+    spindle_rpm: float = Field(default=12_000.0, ge=1, le=100_000, description="told to the operator")
+    signal: str = Field(
+        default="doSpindle", pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="that switches the spindle"
     )
-    safe_mm: Annotated[float, Field(ge=1, le=2000, description="of the safe plane off that side")] = 30.0
-    shape_tol_mm: Annotated[float, Field(ge=0.005, le=20)] = 0.2
-    share: Annotated[
-        float, Field(gt=0.5, le=1, description="part of a surface that must be within the tolerance")
-    ] = 0.98
-    step_mm: Annotated[float, Field(ge=0.2, le=100, description="longest way between targets of a cut")] = 5.0
-    orient: Annotated[
-        Orient,
-        Field(description="spin about the tool: as the motion likes best, or with its x toward the base"),
-    ] = "best"
+    spin_up_s: float = Field(default=5.0, ge=0, le=600)
+    spin_down_s: float = Field(default=10.0, ge=0, le=600)
+    safe_side: SafeSide = Field(default="top", description="side of the block on which the tool moves freely")
+    safe_mm: float = Field(default=30.0, ge=1, le=2000, description="of the safe plane off that side")
+    shape_tol_mm: float = Field(default=0.2, ge=0.005, le=20)
+    share: float = Field(
+        default=0.98, gt=0.5, le=1, description="part of a surface that must be within the tolerance"
+    )
+    step_mm: float = Field(default=5.0, ge=0.2, le=100, description="longest way between targets of a cut")
+    orient: Orient = Field(
+        default="best",
+        description="spin about the tool: as the motion likes best, or with its x toward the base",
+    )
 
     @model_validator(mode="after")
     def _names(self) -> Self:

@@ -50,7 +50,7 @@ class FreeAxis(Strict):
     """
 
     name: str
-    arms: Annotated[list[str], Field(min_length=1, max_length=2)]
+    arms: list[str] = Field(min_length=1, max_length=2)
     axis: Literal["x", "y", "z"]
     turn_deg: tuple[float, float] | None = None
     slide_mm: tuple[float, float] | None = None
@@ -73,20 +73,20 @@ class Posed(Strict):
 
     name: Name
     process: Literal["targets"]
-    arms: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
+    arms: tuple[str, ...] = Field(min_length=1, max_length=2)
     file: Path
     frame: Literal["stock", "world"] = "stock"
     free: tuple[FreeAxis, ...] = ()
     feed_mm_s: Annotated[float, Field(ge=SLOWEST_MM_S, le=FASTEST_MM_S)] | None = None
-    feed_min_mm_s: Annotated[
-        float, Field(ge=0, le=FASTEST_MM_S, description="a slower tool is refused and not proven; 0: none")
-    ] = 0.0
-    run_up_mm: Annotated[
-        float, Field(gt=0, le=1000, description="way from and to stops over which the tool comes up to it")
-    ] = 5.0
+    feed_min_mm_s: float = Field(
+        default=0.0, ge=0, le=FASTEST_MM_S, description="a slower tool is refused and not proven; 0: none"
+    )
+    run_up_mm: float = Field(
+        default=5.0, gt=0, le=1000, description="way from and to stops over which the tool comes up to it"
+    )
     coupled: bool = False
-    position_tol_mm: Annotated[float, Field(gt=0)] = 0.01
-    angle_tol_deg: Annotated[float, Field(gt=0)] = 0.01
+    position_tol_mm: float = Field(default=0.01, gt=0)
+    angle_tol_deg: float = Field(default=0.01, gt=0)
 
     @field_validator("file")
     @classmethod

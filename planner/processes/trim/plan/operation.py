@@ -32,8 +32,8 @@ Signal = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
 class CircleFile(Strict):
     """A circle in the sheet's plane."""
 
-    at_mm: Annotated[tuple[float, float], Field(description="its middle, in the sheet's frame")]
-    diameter_mm: Annotated[float, Field(gt=0, le=10_000)]
+    at_mm: tuple[float, float] = Field(description="its middle, in the sheet's frame")
+    diameter_mm: float = Field(gt=0, le=10_000)
 
 
 class OutlineFile(Strict):
@@ -49,9 +49,9 @@ class OutlineFile(Strict):
     curve: GuideFile | None = None
     circle: CircleFile | None = None
     drawing: DrawingFile | None = None
-    drops: Annotated[Literal["inside", "outside"], Field(description="the waste")] = "inside"
-    joints: Annotated[int, Field(ge=0, le=50, description="micro-joints, evenly about the curve")] = 0
-    joint_mm: Annotated[float, Field(ge=0.1, le=50, description="metal left at each, across")] = 1.0
+    drops: Literal["inside", "outside"] = Field(default="inside", description="the waste")
+    joints: int = Field(default=0, ge=0, le=50, description="micro-joints, evenly about the curve")
+    joint_mm: float = Field(default=1.0, ge=0.1, le=50, description="metal left at each, across")
 
     @field_validator("curve")
     @classmethod
@@ -78,23 +78,23 @@ class LeadFile(Strict):
     ``arc`` that runs into it, as far from the curve as it is long."""
 
     shape: Literal["arc", "line"] = "line"
-    length_mm: Annotated[float, Field(ge=0.5, le=200, description="from the pierce point to the curve")] = 4.0
-    out_mm: Annotated[
-        float, Field(ge=0, le=200, description="straight off the closed curve; none behind micro-joints")
-    ] = 1.0
-    overcut_mm: Annotated[float, Field(ge=0, le=50, description="past the start of a closed curve")] = 1.0
+    length_mm: float = Field(default=4.0, ge=0.5, le=200, description="from the pierce point to the curve")
+    out_mm: float = Field(
+        default=1.0, ge=0, le=200, description="straight off the closed curve; none behind micro-joints"
+    )
+    overcut_mm: float = Field(default=1.0, ge=0, le=50, description="past the start of a closed curve")
 
 
 class PierceFile(Strict):
     """How the sheet is pierced, with the torch at rest in the waste."""
 
-    height_mm: Annotated[
-        float | None, Field(ge=0.2, le=100, description="of the nozzle off the sheet; none: its stand-off")
-    ] = None
-    seconds: Annotated[float, Field(ge=0, le=60, description="from the arc's OK to the first move")] = 0.5
-    off_mm: Annotated[
-        float, Field(ge=0.2, le=200, description="least distance of the pierce point from any curve")
-    ] = 2.0
+    height_mm: float | None = Field(
+        default=None, ge=0.2, le=100, description="of the nozzle off the sheet; none: its stand-off"
+    )
+    seconds: float = Field(default=0.5, ge=0, le=60, description="from the arc's OK to the first move")
+    off_mm: float = Field(
+        default=2.0, ge=0.2, le=200, description="least distance of the pierce point from any curve"
+    )
 
 
 def _resolved(value: SheetMeshFile | str, info: ValidationInfo) -> SheetMeshFile | str:
@@ -117,17 +117,17 @@ class MillCut(Strict):
     along the lead, or straight at its beginning (``plunge``)."""
 
     kind: Literal["mill"]
-    below_mm: Annotated[float, Field(ge=0.2, le=100, description="of the tip through the sheet")] = 1.0
-    entry: Annotated[Literal["ramp", "plunge"], Field(description="into the waste")] = "ramp"
-    start_mm: Annotated[
-        float, Field(ge=0.5, le=100, description="over the sheet, from where it goes down at its plunge feed")
-    ] = 2.0
-    plunge_mm_s: Annotated[
-        float, Field(ge=0.1, le=200, description="along the cutter's axis, into the sheet")
-    ] = 2.0
-    spindle_rpm: Annotated[float, Field(ge=1, le=100_000, description="told to the operator")] = 12_000.0
-    spin_up_s: Annotated[float, Field(ge=0, le=600)] = 5.0
-    spin_down_s: Annotated[float, Field(ge=0, le=600)] = 10.0
+    below_mm: float = Field(default=1.0, ge=0.2, le=100, description="of the tip through the sheet")
+    entry: Literal["ramp", "plunge"] = Field(default="ramp", description="into the waste")
+    start_mm: float = Field(
+        default=2.0, ge=0.5, le=100, description="over the sheet, from where it goes down at its plunge feed"
+    )
+    plunge_mm_s: float = Field(
+        default=2.0, ge=0.1, le=200, description="along the cutter's axis, into the sheet"
+    )
+    spindle_rpm: float = Field(default=12_000.0, ge=1, le=100_000, description="told to the operator")
+    spin_up_s: float = Field(default=5.0, ge=0, le=600)
+    spin_down_s: float = Field(default=10.0, ge=0, le=600)
 
 
 class KnifeCut(Strict):
@@ -140,25 +140,25 @@ class KnifeCut(Strict):
     """
 
     kind: Literal["knife"]
-    below_mm: Annotated[float, Field(ge=0.2, le=100, description="of the tip through the sheet")] = 1.0
-    heading_deg: Annotated[
-        float, Field(ge=0.5, le=15, description="how far the blade may stand off the curve's direction")
-    ] = 3.0
-    turns_deg: Annotated[
-        float, Field(ge=2, le=60, description="corner that it turns through without being lifted, at most")
-    ] = 10.0
-    most_turn_deg: Annotated[
-        float, Field(ge=30, le=720, description="of its heading between going in and coming out")
-    ] = 400.0
-    overcut_mm: Annotated[
-        float, Field(ge=0, le=50, description="into the part past a corner, at the near face")
-    ] = 0.5
-    start_mm: Annotated[
-        float, Field(ge=0.5, le=100, description="over the sheet, from where it goes down at its plunge feed")
-    ] = 2.0
-    plunge_mm_s: Annotated[float, Field(ge=0.1, le=200, description="along the blade, into the sheet")] = 5.0
-    start_up_s: Annotated[float, Field(ge=0, le=600, description="of a drive that signal switches")] = 2.0
-    run_down_s: Annotated[float, Field(ge=0, le=600, description="the same when it is switched off")] = 2.0
+    below_mm: float = Field(default=1.0, ge=0.2, le=100, description="of the tip through the sheet")
+    heading_deg: float = Field(
+        default=3.0, ge=0.5, le=15, description="how far the blade may stand off the curve's direction"
+    )
+    turns_deg: float = Field(
+        default=10.0, ge=2, le=60, description="corner that it turns through without being lifted, at most"
+    )
+    most_turn_deg: float = Field(
+        default=400.0, ge=30, le=720, description="of its heading between going in and coming out"
+    )
+    overcut_mm: float = Field(
+        default=0.5, ge=0, le=50, description="into the part past a corner, at the near face"
+    )
+    start_mm: float = Field(
+        default=2.0, ge=0.5, le=100, description="over the sheet, from where it goes down at its plunge feed"
+    )
+    plunge_mm_s: float = Field(default=5.0, ge=0.1, le=200, description="along the blade, into the sheet")
+    start_up_s: float = Field(default=2.0, ge=0, le=600, description="of a drive that signal switches")
+    run_down_s: float = Field(default=2.0, ge=0, le=600, description="the same when it is switched off")
 
 
 SPINDLE_SIGNAL: Final = "doSpindle"
@@ -180,53 +180,47 @@ class Trim(Strict):
 
     name: Name
     process: Literal["trim"]
-    arms: Annotated[tuple[Name, ...], Field(min_length=1, max_length=1)]
-    by: Annotated[TorchCut | MillCut | KnifeCut, Field(discriminator="kind", description="what cuts")] = (
-        TorchCut(kind="torch")
+    arms: tuple[Name, ...] = Field(min_length=1, max_length=1)
+    by: TorchCut | MillCut | KnifeCut = Field(
+        default=TorchCut(kind="torch"), discriminator="kind", description="what cuts"
     )
-    side: Annotated[Literal["top", "bottom"], Field(description="of the sheet, on which the tool is")] = "top"
+    side: Literal["top", "bottom"] = Field(default="top", description="of the sheet, on which the tool is")
     surface: Annotated[Literal["wanted"] | SheetMeshFile, AfterValidator(_resolved)] = "wanted"
-    outlines: Annotated[tuple[OutlineFile, ...], Field(min_length=1, max_length=500)]
+    outlines: tuple[OutlineFile, ...] = Field(min_length=1, max_length=500)
     lead: LeadFile = LeadFile()
     pierce: PierceFile = PierceFile()
-    feed_mm_s: Annotated[float, Field(ge=0.5, le=1000, description="in the sheet's own thickness")]
-    feed_most_mm_s: Annotated[
-        float | None, Field(ge=0.5, le=1000, description="on thin walls; none: as the thickness says")
-    ] = None
-    least_feed: Annotated[
-        float,
-        Field(ge=0.05, le=0.95, description="share of its feed that each cut has to reach on average"),
-    ] = 0.5
-    cone_deg: Annotated[
-        float, Field(ge=1, le=45, description="how far the tool may lean off the sheet's normal")
-    ] = 5.0
-    signal: Annotated[
-        Signal | None,
-        Field(
-            description="output that starts the arc, or the beam; of a mill the spindle: doSpindle; of a "
-            "knife its drive, none unless it is stated: it is dragged"
-        ),
-    ] = "doArc"
-    ok_signal: Annotated[
-        Signal | None, Field(description="input that says that it burns; none: no such wait")
-    ] = "diArcOk"
-    ok_timeout_s: Annotated[
-        float, Field(ge=0.1, le=60, description="behind which the program breaks off")
-    ] = 5.0
-    shape_tol_mm: Annotated[float, Field(ge=0.02, le=10, description="of the cut edge to the curve")] = 0.3
-    height_tol_mm: Annotated[
-        float, Field(ge=0.02, le=10, description="of the stand-off, or of how deep a mill or a knife is")
-    ] = 0.5
-    clear_mm: Annotated[
-        float,
-        Field(ge=0.1, le=50, description="least distance of what does not cut to the formed sheet"),
-    ] = 1.0
-    safe_mm: Annotated[
-        float, Field(ge=1, le=2000, description="of the safe plane off clamp and formed sheet")
-    ] = 30.0
-    plunge_mm_s: Annotated[float, Field(ge=0.5, le=500, description="down to where a slot begins")] = 40.0
-    rapid_mm_s: Annotated[float, Field(ge=1, le=5000, description="on the safe plane")] = 150.0
-    step_mm: Annotated[float, Field(ge=0.2, le=100, description="longest way between targets of a cut")] = 4.0
+    feed_mm_s: float = Field(ge=0.5, le=1000, description="in the sheet's own thickness")
+    feed_most_mm_s: float | None = Field(
+        default=None, ge=0.5, le=1000, description="on thin walls; none: as the thickness says"
+    )
+    least_feed: float = Field(
+        default=0.5, ge=0.05, le=0.95, description="share of its feed that each cut has to reach on average"
+    )
+    cone_deg: float = Field(
+        default=5.0, ge=1, le=45, description="how far the tool may lean off the sheet's normal"
+    )
+    signal: Signal | None = Field(
+        default="doArc",
+        description="output that starts the arc, or the beam; of a mill the spindle: doSpindle; of a "
+        "knife its drive, none unless it is stated: it is dragged",
+    )
+    ok_signal: Signal | None = Field(
+        default="diArcOk", description="input that says that it burns; none: no such wait"
+    )
+    ok_timeout_s: float = Field(default=5.0, ge=0.1, le=60, description="behind which the program breaks off")
+    shape_tol_mm: float = Field(default=0.3, ge=0.02, le=10, description="of the cut edge to the curve")
+    height_tol_mm: float = Field(
+        default=0.5, ge=0.02, le=10, description="of the stand-off, or of how deep a mill or a knife is"
+    )
+    clear_mm: float = Field(
+        default=1.0, ge=0.1, le=50, description="least distance of what does not cut to the formed sheet"
+    )
+    safe_mm: float = Field(
+        default=30.0, ge=1, le=2000, description="of the safe plane off clamp and formed sheet"
+    )
+    plunge_mm_s: float = Field(default=40.0, ge=0.5, le=500, description="down to where a slot begins")
+    rapid_mm_s: float = Field(default=150.0, ge=1, le=5000, description="on the safe plane")
+    step_mm: float = Field(default=4.0, ge=0.2, le=100, description="longest way between targets of a cut")
 
     @model_validator(mode="after")
     def _no_arc(self) -> Self:
