@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 
 from planner.geometry.arrays import FloatArray, IndexArray, Shape, corners, transform
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity
 from planner.problem import Arm, Cell, Pedestal, Problem, Setup, Stock
 
@@ -304,9 +304,7 @@ def _unborne(what: str, field: str, value: float, limit: float, hint: str) -> Is
         what,
         Severity.WARNING,
         field=field,
-        value=value / MM,
-        limit=limit / MM,
-        unit="mm",
+        **measurement(value / MM, limit / MM, "mm"),
         hint=hint,
         accepted=False,
     )

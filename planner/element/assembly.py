@@ -16,7 +16,7 @@ import numpy as np
 from planner.element.jobs import obj_lines
 from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.geometry.assembly import NONE, Slab, Step, outline_faces
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity
 
 GIVE: Final = 1e-3
@@ -91,9 +91,7 @@ class Assembly:
                 what,
                 Severity.WARNING,
                 field="panels",
-                value=worst.depth / MM,
-                limit=give / MM,
-                unit="mm",
+                **measurement(worst.depth / MM, give / MM, "mm"),
                 hint=hint,
             ),
         )

@@ -32,7 +32,7 @@ from planner.element.surface import ElementSurface, Profile, profiles
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.guillotine import Division, divide
 from planner.geometry.mesh import TriangleMesh, vertex_normals
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError
 
 FITS: Final = 1e-6
@@ -559,9 +559,7 @@ def _limit(code: str, what: str, field: str, value: float, limit: float, hint: s
         code,
         f"{cells} of the cells can be no panel even alone, the worst is {what}",
         field=field,
-        value=value / MM,
-        limit=limit / MM,
-        unit="mm",
+        **measurement(value / MM, limit / MM, "mm"),
         hint=hint,
     )
 

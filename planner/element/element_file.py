@@ -27,7 +27,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT, Shape
 from planner.geometry.ruled_approximation import Patch
 from planner.geometry.ruled_wall import RuledWall, ruled_wall
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError
 from planner.processes.hotwire.plan import wire as hot_wires
 from planner.processes.hotwire.plan.operation import Straight
@@ -567,9 +567,7 @@ def _not_tiny(mesh: TriangleMesh, wires: tuple[WireFile, ...]) -> None:
             f"the surface is {text} mm, and the shortest wire has {shortest / MM:.0f} mm: more than "
             f"{SLACK_WIRE:g} times as much as the element is long",
             field="surface",
-            value=longest / MM,
-            limit=shortest / SLACK_WIRE / MM,
-            unit="mm",
+            **measurement(longest / MM, shortest / SLACK_WIRE / MM, "mm"),
             hint="state the unit that the file was made in, or give a shorter wire",
         )
     )

@@ -28,7 +28,7 @@ from planner.geometry.arrays import FloatArray, IntArray, transform
 from planner.geometry.assembly import NONE, Slab, bodies_beyond, put_up
 from planner.geometry.mesh import face_areas
 from planner.geometry.rulings import boundaries
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity
 
 OWNED: Final = (
@@ -358,9 +358,7 @@ def _told(element: ElasticElement, names: tuple[str, ...], met: tuple[Joint, ...
             what,
             Severity.WARNING,
             field="panels.elastic.joint_mm",
-            value=_step(worst),
-            limit=limit,
-            unit="mm",
+            **measurement(_step(worst), limit, "mm"),
             hint=hint,
         ),
     )

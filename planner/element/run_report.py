@@ -24,7 +24,7 @@ from planner.element.run_joints import CutFace, CutJoint, cut_faces, cut_joint, 
 from planner.element.side_joints import CutSide, cut_sides, side_joint
 from planner.element.wall_joints import cut_surfaces, wall_joint
 from planner.files import is_file
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity, TandemError
 
 MOST_AT_95: Final = 0.2e-3
@@ -166,9 +166,7 @@ class ElementRun:
                 f"{MOST / MM:g} mm",
                 Severity.WARNING,
                 field="panels.elastic.joint_mm" if "joint_mm" in self.data else "jobs",
-                value=joint.at_95 / MM,
-                limit=joint.limit / MM,
-                unit="mm",
+                **measurement(joint.at_95 / MM, joint.limit / MM, "mm"),
                 hint="ask for a smaller shape_tol_mm in the jobs"
                 + (", or a smaller tolerance_mm" if "joint_mm" in self.data else ""),
             )
@@ -209,9 +207,7 @@ def _off_face(panel: PanelRun) -> Iterator[Issue]:
             f"{off.max() / MM:.3f} mm at most{where}; allowed are {MOST_AT_95 / MM:g} and {MOST / MM:g} mm",
             Severity.WARNING,
             field="cut_blocks" if planar else "jobs",
-            value=at_95 / MM,
-            limit=MOST_AT_95 / MM,
-            unit="mm",
+            **measurement(at_95 / MM, MOST_AT_95 / MM, "mm"),
             hint=f"do not cut {job_of(panel.panel)}; divide the element again and plan "
             f"{'its blocks' if planar else 'it'} anew"
             if face.slot

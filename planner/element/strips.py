@@ -34,7 +34,7 @@ from planner.geometry.ruled_approximation import Across, near_step
 from planner.geometry.ruled_wall import CHORD, RuledWall
 from planner.geometry.rulings import tessellate
 from planner.geometry.surface_lines import Lines, mitred, smooth_lines
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError
 
 ACROSS: Final[tuple[Across, ...]] = ("u", "v")
@@ -273,9 +273,7 @@ def _refuse_folds(element: StripsElement, found: Divided) -> None:
             "element.shape",
             what,
             field=field,
-            value=element.file.thickness_mm,
-            limit=limit,
-            unit="mm",
+            **measurement(element.file.thickness_mm, limit, "mm"),
             hint=hint,
         )
     )

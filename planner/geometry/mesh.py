@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
+from planner.geometry.units import measurement
 from planner.issues import Issue, TandemError
 
 
@@ -150,8 +151,7 @@ def offset(
                 f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; its radius must be larger than that, "
                 "so use a thinner part, a smaller kerf or a smoother face",
                 field="part",
-                value=most,
-                unit="mm",
+                **measurement(most, None, "mm"),
             )
         )
     return moved

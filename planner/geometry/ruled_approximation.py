@@ -29,7 +29,7 @@ from planner.geometry.mesh_queries import Nearness
 from planner.geometry.nurbs import NurbsSurface
 from planner.geometry.placing import backwards
 from planner.geometry.rulings import boundaries, outward, points, resample, tessellate
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, TandemError
 
 _SAME_PARAMETER = 1e-5
@@ -252,9 +252,7 @@ def cut_strips(patch: Patch, across: Across, tolerance: float, count: int | None
                     "part.strips",
                     what,
                     field=field,
-                    value=float(found.deviation.max() / MM),
-                    limit=tolerance / MM,
-                    unit="mm",
+                    **measurement(float(found.deviation.max() / MM), tolerance / MM, "mm"),
                 )
             )
         low, number = number, min(MOST_STRIPS, 2 * number)

@@ -11,7 +11,7 @@ import numpy as np
 from planner.catalogue.robots import OffsetParameters, OpwParameters
 from planner.cell import clearance
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, TandemError
 from planner.motion import offset_wrist, own_clearance
 from planner.motion.place_margin import reach_gap
@@ -106,9 +106,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
             "motion.joint_limit",
             f"arm {arm} passes the limit of axis {joint + 1} at target {name}: {got:.1f} deg, {allowed}",
             bodies=(f"axis {joint + 1}",),
-            value=float(limit[best]) / DEG,
-            limit=scene.settings.joint_margin / DEG,
-            unit="deg",
+            **measurement(float(limit[best]) / DEG, scene.settings.joint_margin / DEG, "deg"),
             hint=_elsewhere(targets) + _less("joint_margin_deg", float(limit[best])),
             arm=arm,
             index=index,
@@ -125,9 +123,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
         f"arm {arm} is {single / DEG:.1f} deg from a singularity of its {which} at target {name}, "
         f"allowed is {scene.settings.singularity_margin / DEG:.1f} deg at least",
         bodies=(which,),
-        value=single / DEG,
-        limit=scene.settings.singularity_margin / DEG,
-        unit="deg",
+        **measurement(single / DEG, scene.settings.singularity_margin / DEG, "deg"),
         hint=_elsewhere(targets) + _less("singularity_margin_deg", single),
         arm=arm,
         index=index,
@@ -174,9 +170,7 @@ def _wound_up(scene: Scene, targets: Targets, wound: Wound, index: int) -> Issue
     return Issue(
         "motion.no_path",
         what,
-        value=abs(wound.high - wound.low) / DEG,
-        limit=high - low,
-        unit="deg",
+        **measurement(abs(wound.high - wound.low) / DEG, high - low, "deg"),
         arm=wound.arm,
         index=index,
         target=name,
@@ -231,9 +225,7 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
         index=dead.index,
         target=name,
         bodies=blocks[0].pair,
-        value=best / MM,
-        limit=limit / MM,
-        unit="mm",
+        **measurement(best / MM, limit / MM, "mm"),
         count=count,
         hint=_room(targets, setting, nearest),
     )
@@ -359,9 +351,7 @@ def describe(
         index=index,
         target=name,
         bodies=pair,
-        value=distance / MM,
-        limit=limit / MM,
-        unit="mm",
+        **measurement(distance / MM, limit / MM, "mm"),
         count=count,
         hint=_room(targets, setting, pair),
     )

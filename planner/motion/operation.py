@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import diagnosis, transit, ways
 from planner.motion.former import FormerPath
@@ -546,9 +546,7 @@ def _slow(targets: Targets, clock_time: FloatArray) -> list[Issue]:
                 index=i,
                 target=targets.name(i),
                 time=float(clock_time[i]),
-                value=got,
-                limit=least,
-                unit="mm/s",
+                **measurement(got, least, "mm/s"),
                 hint="let the run-up lie outside the stock, lower feed_min, or raise speed_fraction",
             )
         )

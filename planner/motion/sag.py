@@ -22,7 +22,7 @@ from planner.cell.kinematics import forward
 from planner.cell.sag import sags
 from planner.claims.claim import FEED_WAY, ArmSags
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, inverse
-from planner.geometry.units import GRAVITY, MM
+from planner.geometry.units import GRAVITY, MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem, Settings, Setup
@@ -373,9 +373,7 @@ def _at(
         arm=arm,
         index=index,
         target=plan.targets.name(index),
-        value=float(measure[0] / MM),
-        limit=float(measure[1] / MM),
-        unit="mm",
+        **measurement(float(measure[0] / MM), float(measure[1] / MM), "mm"),
         hint=hint,
     )
 

@@ -19,7 +19,7 @@ from planner.cell import axis_way, clearance, plant, support
 from planner.cell.plant import CellModel
 from planner.files import versions
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Remedy, TandemError, aggregate
 from planner.motion import diagnosis, remedies, sag, stations, ways
 from planner.motion.first_look import FirstLook
@@ -634,9 +634,7 @@ def _overlap(setup: Setup, placed: CellModel, found: Overlap) -> Issue:
         what,
         field=field,
         bodies=(one, other),
-        value=deep / MM,
-        limit=1.0,
-        unit="mm",
+        **measurement(deep / MM, 1.0, "mm"),
         hint=hint,
         remedy=remedy,
     )

@@ -19,7 +19,7 @@ import numpy as np
 from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError
 from planner.motion import own_clearance
 from planner.motion.planning_scene import Scene
@@ -248,9 +248,7 @@ def require_home(scene: Scene, targets: Targets) -> None:
             "motion.home",
             f"at home {pair[0]} and {pair[1]} are {said}, allowed is {wanted / MM:.1f} mm apart at least",
             bodies=pair,
-            value=distance,
-            limit=wanted / MM,
-            unit="mm",
+            **measurement(distance, wanted / MM, "mm"),
             hint="choose another home posture (home_deg), such as with axis 2 drawn back or axis 1 turned "
             "away, or move what is in the way",
         )
@@ -545,8 +543,6 @@ def _blocked(scene: Scene, targets: Targets, stuck: _Stuck, row: int) -> Issue:
         index=row,
         target=name,
         bodies=found.pair[worst],
-        value=distance,
-        limit=wanted / MM,
-        unit="mm",
+        **measurement(distance, wanted / MM, "mm"),
         hint="choose other home postures (home_deg), such as with axis 1 turned away, or clear the way",
     )

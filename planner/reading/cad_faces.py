@@ -15,7 +15,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.nurbs import NurbsSurface
 from planner.geometry.placing import backwards, outwards
 from planner.geometry.rulings import resample
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.reading.drawing import FLATNESS, refused
 
@@ -125,8 +125,6 @@ def faceted(
         Severity.NOTE,
         file=str(face.path),
         field=face.field,
-        value=off / MM,
-        limit=chord_mm,
-        unit="mm",
+        **measurement(off / MM, chord_mm, "mm"),
     )
     return CadFace(TriangleMesh(vertices, faces), normals, surface, turned, (*notes, told))

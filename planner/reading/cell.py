@@ -12,7 +12,7 @@ from pydantic import Field, Tag
 from planner.catalogue.robots import JointStiffness, RobotData, robot, robot_names
 from planner.geometry.arrays import FloatArray, Shape, from_rpy
 from planner.geometry.mesh_files import read_mesh
-from planner.geometry.units import DEG, LENGTH_UNITS, MM
+from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Obstacle, SagCompensation
 from planner.reading import axes, rails
@@ -650,7 +650,5 @@ def too_heavy(arm: str, field: str, tool: Tool, data: RobotData) -> Issue:
         "take a larger robot or a lighter tool",
         field=field,
         arm=arm,
-        value=tool.mass,
-        limit=data.payload,
-        unit="kg",
+        **measurement(tool.mass, data.payload, "kg"),
     )

@@ -24,7 +24,7 @@ from planner.catalogue.robots import (
 )
 from planner.cell.kinematics import flange_poses, form_jacobian
 from planner.geometry.arrays import FloatArray, from_parts, from_rpy, inverse, log_rotation
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, TandemError
 from planner.reading.urdf import SNAP_STEP, CoupledError, UrdfChain, limit_faults, read_chain
 
@@ -79,9 +79,7 @@ def fit(chain: UrdfChain) -> ArmFit:
                 "robot.deviation",
                 message,
                 field="urdf",
-                value=off[0] / MM,
-                limit=MOST_OFF / MM,
-                unit="mm",
+                **measurement(off[0] / MM, MOST_OFF / MM, "mm"),
                 hint=hint,
             )
         )

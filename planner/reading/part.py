@@ -31,7 +31,7 @@ from planner.geometry.placing import (
     standing_out,
 )
 from planner.geometry.rulings import resample
-from planner.geometry.units import DEG, LENGTH_UNITS, MM
+from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
 from planner.issues import Issue, Remedy, Severity, TandemError, has_errors
 from planner.problem import Part, Stock
 from planner.reading import part_ruled, part_surfaces, rhino, sheet
@@ -390,9 +390,7 @@ def _refuse_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> No
             "part.stock_too_small",
             f"the part stands out of the block of {size} mm by {short}, {turned}; use a larger block",
             field="stock.size_mm",
-            value=float((stock_size + missing)[worst] * 1e3),
-            limit=float(stock_size[worst] * 1e3),
-            unit="mm",
+            **measurement(float((stock_size + missing)[worst] * 1e3), float(stock_size[worst] * 1e3), "mm"),
             hint=f"the part alone needs size_mm: [{', '.join(f'{v:g}' for v in enough)}]",
             remedy=Remedy("size", "stock", size_mm=enough),
         )

@@ -26,7 +26,7 @@ from planner.geometry.mesh import (
 from planner.geometry.mesh_files import LARGEST_EXTENT, SMALLEST_EXTENT, read_mesh, unit_note
 from planner.geometry.ruled_approximation import Patch, find_rulings, of_mesh, of_surface
 from planner.geometry.rulings import edge_surface, resample
-from planner.geometry.units import DEG, LENGTH_UNITS, MM
+from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.reading import rhino, step
 from planner.reading.cad_faces import CadFace
@@ -374,13 +374,7 @@ def build_mesh(spec: RuledMeshFile, folder: Path) -> tuple[Ruled, list[Issue]]:
             Issue("part.not_ruled", what, field="part.mesh", value=largest, limit=limit, unit="mm")
         )
     note = Issue(
-        "part.ruled_deviation",
-        what,
-        Severity.NOTE,
-        field="part.mesh",
-        value=largest,
-        limit=limit,
-        unit="mm",
+        "part.ruled_deviation", what, Severity.NOTE, field="part.mesh", **measurement(largest, limit, "mm")
     )
     return ruled, [*unit_note(folder / spec.file, "part.mesh"), note]
 
@@ -402,9 +396,7 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
                 "part.strips",
                 f"{what}; {limit:g} mm are allowed, so take more strips, or leave count out",
                 field="part.strips.count",
-                value=worst,
-                limit=limit,
-                unit="mm",
+                **measurement(worst, limit, "mm"),
             )
         )
     if spec.take > count:

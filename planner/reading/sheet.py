@@ -31,7 +31,7 @@ from planner.geometry.mesh_repair import (
     sewn,
     vertex_noise,
 )
-from planner.geometry.units import DEG, LENGTH_UNITS, MM
+from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Formed, Part, Sheet, Stock
 from planner.reading.cell import PoseFile
@@ -364,9 +364,7 @@ def _require_tolerance(
             what,
             file=str(path),
             field=field,
-            value=tolerance / MM,
-            limit=most,
-            unit="mm",
+            **measurement(tolerance / MM, most, "mm"),
             hint=hint,
         )
     )
@@ -406,9 +404,7 @@ def _noise_notes(
         what,
         Severity.WARNING,
         field=field,
-        value=bound,
-        limit=stated / MM,
-        unit="mm",
+        **measurement(bound, stated / MM, "mm"),
         hint=hint,
     )
     return told, rough
@@ -456,9 +452,7 @@ def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:
                 "part.stock_too_small",
                 what,
                 field="sheet.opening_mm",
-                value=float(out.max() / MM),
-                limit=0.0,
-                unit="mm",
+                **measurement(float(out.max() / MM), 0.0, "mm"),
                 hint=hint,
             )
         )

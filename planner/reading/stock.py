@@ -14,7 +14,7 @@ from pydantic import Field, Tag
 
 from planner.catalogue.materials import Foam, foam
 from planner.geometry.arrays import from_rpy
-from planner.geometry.units import DEG, GRAVITY, MM
+from planner.geometry.units import DEG, GRAVITY, MM, measurement
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Change, Pedestal, Problem, Setup, Stock
 from planner.reading import cell as cell_file
@@ -241,9 +241,7 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
             "lighter foam, a smaller block or a larger arm",
             field=f"{field}.held_by",
             arm=name,
-            value=block.mass + tool.mass,
-            limit=payload,
-            unit="kg",
+            **measurement(block.mass + tool.mass, payload, "kg"),
         )
     elif needed > tool.holding:
         yield Issue(
@@ -253,9 +251,7 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
             "take a larger gripper, or state its holding_n where it is known",
             field=f"{field}.held_by",
             arm=arm.name,
-            value=needed,
-            limit=tool.holding,
-            unit="N",
+            **measurement(needed, tool.holding, "N"),
         )
     yield from _footprint(block, arm.name, tool, field)
 
@@ -286,9 +282,7 @@ def _footprint(block: Stock, arm: str, tool: Gripper, field: str) -> Iterator[Is
             "face; take a smaller gripper or move the grip",
             field=f"{field}.grip",
             arm=arm,
-            value=float(over / MM),
-            limit=0.0,
-            unit="mm",
+            **measurement(float(over / MM), 0.0, "mm"),
         )
 
 

@@ -25,6 +25,7 @@ from pydantic import (
 )
 
 from planner.files import FILE_KEYS, is_file, no_file
+from planner.geometry.units import measurement
 from planner.issues import Issue, TandemError
 
 try:  # libyaml, where PyYAML was built with it: twenty times faster, and the same marks
@@ -133,9 +134,7 @@ def read(path: Path) -> Document:
                 f"{name}: {size / 1e6:.1f} MB, at most {MAX_YAML_BYTES / 1e6:.0f} MB are read as YAML; "
                 "put meshes and point lists into files of their own",
                 file=name,
-                value=size / 1e6,
-                limit=MAX_YAML_BYTES / 1e6,
-                unit="MB",
+                **measurement(size / 1e6, MAX_YAML_BYTES / 1e6, "MB"),
             )
         )
     try:

@@ -30,7 +30,7 @@ from planner.geometry.arrays import (
     skew,
     to_quaternion,
 )
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion.planning_scene import Scene
 from planner.motion.search.ladder_search import speed_limits
@@ -139,9 +139,7 @@ def _slow(scene: Scene, targets: Targets, samples: Dense, i: int, took: float, m
         arm=arm if share > 1.0 else None,
         index=i,
         target=targets.name(i),
-        value=got,
-        limit=least,
-        unit="mm/s",
+        **measurement(got, least, "mm/s"),
         hint=hint,
     )
 
@@ -214,9 +212,7 @@ def _corner_issue(targets: Targets, i: int, got: float, limit: float) -> Issue:
         f"{limit / MM:.4g} mm/s at least, {LEAST_SPEED_SHARE:g} of the least feed",
         index=i,
         target=name,
-        value=got / MM,
-        limit=limit / MM,
-        unit="mm/s",
+        **measurement(got / MM, limit / MM, "mm/s"),
         hint="give a stop there, or round the corner over more poses",
     )
 
@@ -413,9 +409,7 @@ def short_move_notes(targets: Targets, values: FloatArray, time: FloatArray) -> 
             Severity.WARNING,
             index=first,
             target=name,
-            value=float(took.min()),
-            limit=LEAST_MOVE_TIME_S,
-            unit="s",
+            **measurement(float(took.min()), LEAST_MOVE_TIME_S, "s"),
             hint=hint,
         )
     ]

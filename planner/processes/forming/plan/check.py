@@ -22,7 +22,7 @@ from planner.catalogue.materials import thickness_doubt
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
 from planner.geometry.curves import along, arc_length
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, small_pieces
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, Severity
 from planner.problem import Setup
 from planner.processes.forming.plan import two_point
@@ -77,9 +77,7 @@ def step_issues(work: Work) -> Iterator[Issue]:
             "forming.path_options",
             what,
             field="operations.stepdown_mm",
-            value=op.stepdown_mm,
-            limit=deep,
-            unit="mm",
+            **measurement(op.stepdown_mm, deep, "mm"),
             hint=hint,
         )
 
@@ -355,9 +353,7 @@ def unreached_issues(work: Work) -> list[Issue]:
                 what,
                 severity,
                 field="operations.unreached_mm",
-                value=off,
-                limit=limit,
-                unit="mm",
+                **measurement(off, limit, "mm"),
                 hint=hint,
             )
         )

@@ -27,7 +27,7 @@ import yaml
 
 from planner.catalogue.materials import SheetMetal
 from planner.geometry.arrays import FloatArray, Mesh
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.processes.forming.plan.contact import Pass
 from planner.processes.forming.plan.features.pass_shape import Limited, alone, depth_areas, face_of, limited
@@ -137,9 +137,7 @@ def warning(family: str, thickness: float, angle: float, depth: float, mode: str
         f"{trial.angle / DEG:.0f} deg, {trial.lubricant}) {TRIAL_CAUSES[trial.cause]} at a depth of "
         f"{trial.depth / MM:.0f} mm; one trial in one lab, with metal of unstated alloy: a hint, no limit",
         Severity.WARNING,
-        value=depth / MM,
-        limit=trial.depth / MM,
-        unit="mm",
+        **measurement(depth / MM, trial.depth / MM, "mm"),
         hint=f"form a test piece first; of the trial: {trial.note}",
     )
 
@@ -338,9 +336,7 @@ def _upright(feature: int, angle: float) -> Issue:
         "by the "
         "sine law nothing is left of the sheet at 90 deg, and an undercut tore in trials",
         field="part",
-        value=angle / DEG,
-        limit=UPRIGHT_WALL / DEG,
-        unit="deg",
+        **measurement(angle / DEG, UPRIGHT_WALL / DEG, "deg"),
         hint="make the wall lean, or form it in another way",
     )
 
@@ -357,9 +353,7 @@ def _torn(one: Pass, angle: float, before: float, limit: float, auto: Sequence[f
         f"{limit / DEG:.1f} deg at once and about {LARGEST_ANGLE_STEP / DEG:.0f} deg more with each "
         "further pass",
         Severity.WARNING,
-        value=angle / DEG,
-        limit=limit / DEG,
-        unit="deg",
+        **measurement(angle / DEG, limit / DEG, "deg"),
         hint=hint,
         accepted=False,
     )

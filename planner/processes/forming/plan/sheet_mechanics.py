@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from planner.catalogue.materials import SheetMetal
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
-from planner.geometry.units import DEG, GRAVITY, MM
+from planner.geometry.units import DEG, GRAVITY, MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.processes.forming.plan.contact import Pass, smooth_normals
 
@@ -202,9 +202,7 @@ def payload_issue(found: ForceEstimate, arm: str, robot: str, payload: float, ca
         f"leaves {free:.0f} N beside its tool; it may stop with a collision error, or bend out of place",
         Severity.WARNING,
         arm=arm,
-        value=found.force,
-        limit=free,
-        unit="N",
+        **measurement(found.force, free, "N"),
         hint="take thinner or softer sheet, a smaller tool or a larger robot, or state a measured force",
         accepted=False if found.force > MOST_FORCE_FACTOR * free else None,
     )

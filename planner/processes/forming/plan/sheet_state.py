@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, Mesh, dots
 from planner.geometry.mesh import small_pieces
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue
 from planner.processes.forming.plan.contact import Pass, ToolPath
 from planner.processes.forming.plan.features.tree import FeatureTree
@@ -352,8 +352,6 @@ def _issue(one: Pass, arm: str, cut: Cut, tolerance: float, slim: float | None) 
         f"{y:.1f}, {z:.1f}) mm, allowed is {tolerance / MM:.2f} mm",
         arm=arm,
         index=cut.index,
-        value=cut.depth / MM,
-        limit=tolerance / MM,
-        unit="mm",
+        **measurement(cut.depth / MM, tolerance / MM, "mm"),
         hint=hint,
     )

@@ -27,7 +27,7 @@ import shapely
 from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh, face_normals, small_pieces
 from planner.geometry.mesh_queries import Nearness
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, Severity
 from planner.processes.forming.claims import SinksHolder
 from planner.processes.forming.plan.contact import Pass, ToolPath
@@ -90,9 +90,7 @@ def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -
             f"{z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its unit, or lower it by so much: it "
             "has to leave room for the sheet's thickness",
             field="die",
-            value=float(depth[k]) / MM,
-            limit=tolerance / MM,
-            unit="mm",
+            **measurement(float(depth[k]) / MM, tolerance / MM, "mm"),
         )
     ]
 
@@ -118,9 +116,7 @@ def _away(one: Pass, far: TriangleMesh, mesh: TriangleMesh) -> list[Issue]:
             "unit and place, or state full: false for a partial die",
             Severity.WARNING,
             field="die",
-            value=float(distance[k]) / MM,
-            limit=SUPPORT_DISTANCE / MM,
-            unit="mm",
+            **measurement(float(distance[k]) / MM, SUPPORT_DISTANCE / MM, "mm"),
             accepted=False,
         )
     ]

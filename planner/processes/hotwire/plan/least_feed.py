@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue
 from planner.processes.hotwire.plan.operation import ElasticWire, Straight
 from planner.targets import Targets
@@ -45,7 +45,5 @@ def check_least(op: Straight | ElasticWire, targets: Targets, time: FloatArray) 
         target=targets.name(k + 1),
         hint=f"feed_min_mm_s: {held:g}, which they hold; or a lower feed_mm_s, a larger shape_tol_mm, which "
         "rounds corners more, or rounder corners",
-        value=got,
-        limit=least,
-        unit="mm/s",
+        **measurement(got, least, "mm/s"),
     )

@@ -8,7 +8,7 @@ import math
 from typing import Literal
 
 from planner.catalogue.materials import WireMaterial, wire_material
-from planner.geometry.units import GRAVITY, MM
+from planner.geometry.units import GRAVITY, MM, measurement
 from planner.issues import Issue, TandemError
 from planner.processes.hotwire.plan.elastica.clamped import Section, round_section, strip
 
@@ -125,9 +125,7 @@ def make(
             Issue(
                 "wire.temperature",
                 text,
-                value=temperature_c,
-                limit=data.limit_temperature,
-                unit="C",
+                **measurement(temperature_c, data.limit_temperature, "C"),
                 hint="cut cooler, or take another material",
             )
         )

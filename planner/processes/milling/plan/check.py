@@ -17,7 +17,7 @@ from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.geometry.face_places import CREASE_ANGLE
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals
 from planner.geometry.swept_body import RoundBody, count_near, least_distances, places_near
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue
 from planner.processes.milling.plan.operation import FlankCut
 from planner.processes.milling.plan.process_plan import Done, Face, Work
@@ -172,9 +172,7 @@ def _twist(work: Work, one: Done) -> list[Issue]:
             "milling.twist",
             what,
             field=f"operations.cuts.{one.cut.flank}",
-            value=one.off / MM,
-            limit=one.tolerance / MM,
-            unit="mm",
+            **measurement(one.off / MM, one.tolerance / MM, "mm"),
         )
     ]
 

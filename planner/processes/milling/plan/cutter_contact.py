@@ -34,7 +34,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, Ruled
 from planner.geometry.face_places import CREASE_ANGLE
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals, small_pieces
 from planner.geometry.rulings import boundaries, resample, runs
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue
 
 INNER_EDGE_SIZE: Final = 0.5 * MM
@@ -184,9 +184,7 @@ def unreached_issue(name: str, found: Unreached, radius: float, tolerance: float
         "milling.tool_radius",
         what,
         field="cell.arms.tool.diameter_mm",
-        value=found.deep / MM,
-        limit=tolerance / MM,
-        unit="mm",
+        **measurement(found.deep / MM, tolerance / MM, "mm"),
         hint=hint,
     )
 

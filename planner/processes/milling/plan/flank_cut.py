@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, Ruled, unit
 from planner.geometry.polylines import thinned
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, Severity, TandemError, has_errors
 from planner.problem import Part
 from planner.processes.milling.plan import cutter_contact
@@ -286,9 +286,7 @@ def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, radius: float, fi
                     "milling.corner",
                     what,
                     field=field,
-                    value=turn / DEG,
-                    limit=INNER_CORNER_TURN / DEG,
-                    unit="deg",
+                    **measurement(turn / DEG, INNER_CORNER_TURN / DEG, "deg"),
                 )
             )
     return out

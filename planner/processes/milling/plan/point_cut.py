@@ -17,7 +17,7 @@ import shapely
 from planner.geometry.arrays import FloatArray, dots, unit
 from planner.geometry.face_places import Over, Places
 from planner.geometry.polylines import thinned
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, TandemError
 from planner.processes.milling.plan.cutter_contact import within
 from planner.processes.milling.plan.operation import EngraveCut, LinesCut, Milling
@@ -216,9 +216,7 @@ def _ridges(cut: LinesCut, lowest: float, most: float) -> None:
                 f"lines: ridges of {lowest / MM:.3f} mm or more leave too little of it within shape_tol_mm; "
                 f"allowed: {most / MM:.3f} mm; give {do} or less, or more tolerance",
                 field="operations.cuts",
-                value=lowest / MM,
-                limit=most / MM,
-                unit="mm",
+                **measurement(lowest / MM, most / MM, "mm"),
             )
         )
 

@@ -19,7 +19,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh
 from planner.geometry.face_places import Over
 from planner.geometry.polylines import sharp, thinned
 from planner.geometry.rulings import tessellate
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup
 from planner.processes.milling import sentences as milling_sentences
@@ -361,15 +361,7 @@ def _front(part: Part | None) -> Mesh:
             what += f"be milled from above; allowed: {most:.1f}"
             hint = "turn the part in the block (in_stock: rpy_deg), or leave that place out of the front"
         raise TandemError(
-            Issue(
-                "milling.front",
-                what,
-                field="part.front",
-                value=lean,
-                limit=most,
-                unit="deg",
-                hint=hint,
-            )
+            Issue("milling.front", what, field="part.front", **measurement(lean, most, "deg"), hint=hint)
         )
     return part.front
 

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.curves import sides
 from planner.geometry.mesh import TriangleMesh, check_surface
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError
 
 OVERHANG: Final = 25e-6
@@ -173,8 +173,7 @@ def _hole(points: FloatArray) -> Issue:
         f"the part has a hole, {size / MM:.3g} mm across, at {where(middle)}; a sheet is formed whole, so "
         "close it (or, where it is a crack between facets, sew the mesh) and cut it afterwards",
         field="part",
-        value=size / MM,
-        unit="mm",
+        **measurement(size / MM, None, "mm"),
     )
 
 
@@ -186,9 +185,7 @@ def _border(point: FloatArray, level: float, noise: float) -> Issue:
         f"{noise / MM:.3f} mm is allowed, so that its contours would end there; extend the part by a surface "
         "that runs out into the sheet plane",
         field="part",
-        value=off,
-        limit=noise / MM,
-        unit="mm",
+        **measurement(off, noise / MM, "mm"),
     )
 
 
@@ -223,9 +220,7 @@ def _undercut(vertices: FloatArray, faces: IntArray, edges: IntArray, face_edges
         f"the part turns over in {groups} place{'s' if groups > 1 else ''}: a wall of {angle:.1f} deg at "
         f"{where(at)}, walls up to 90 deg can be formed; take the undercut out of the part, or turn the part",
         field="part",
-        value=angle,
-        limit=90.0,
-        unit="deg",
+        **measurement(angle, 90.0, "deg"),
         count=groups,
     )
 

@@ -42,7 +42,7 @@ from shapely.geometry import Polygon
 from shapely.ops import nearest_points
 
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.processes.forming.plan.features.surface import (
     Beyond,
@@ -163,9 +163,7 @@ def _check_step(mesh: Mesh, step: float) -> None:
                 f"step: got {step / MM:g} mm, allowed is {least:.6f} mm at least, {MOST_SLICES} levels over "
                 f"the part's {extent / MM:.3g} mm; state such a length",
                 field="step",
-                value=step / MM,
-                limit=least,
-                unit="mm",
+                **measurement(step / MM, least, "mm"),
             )
         )
 
@@ -219,9 +217,7 @@ def _flat(surface: SheetSurface, noise: float) -> Issue:
         f"nothing of the part leaves the sheet plane by {noise / MM:g} mm (its z vary by "
         f"{height / MM:.3g} mm); check the unit of the mesh, and that its z axis is normal to the sheet",
         field="part",
-        value=height / MM,
-        limit=noise / MM,
-        unit="mm",
+        **measurement(height / MM, noise / MM, "mm"),
     )
 
 

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, TandemError
 
 Prefer = Literal["angle", "gap"]
@@ -255,9 +255,7 @@ def _beyond(response: Response, wanted: FloatArray, wrong: BoolArray) -> Issue:
         "forming.adsif_range",
         text + f" ({response.source})",
         index=k,
-        value=got,
-        limit=high if got > high else low,
-        unit="deg",
+        **measurement(got, high if got > high else low, "deg"),
         hint="form such walls in another mode, or bring a table of your own",
         count=int(wrong.sum()),
     )

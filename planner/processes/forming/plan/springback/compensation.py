@@ -22,7 +22,7 @@ import shapely
 
 from planner.geometry.arrays import FloatArray, IntArray, lengths, unit
 from planner.geometry.curves import along, arc_length
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.processes.forming.plan.contact import Pass, ToolPath, heights
 from planner.processes.forming.plan.operation import Level
@@ -299,9 +299,7 @@ def steeper(
                 what,
                 Severity.WARNING,
                 field="springback" if level is None else "level",
-                value=over[k] / DEG,
-                limit=limit / DEG,
-                unit="deg",
+                **measurement(over[k] / DEG, limit / DEG, "deg"),
                 hint="hold the sheet nearer to the part, so that it comes back by less, or form more passes",
                 accepted=False,
             )

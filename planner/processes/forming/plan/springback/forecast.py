@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray, spread_rows
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.processes.forming.plan.contact import Pass, ToolPath
 from planner.processes.forming.plan.process_plan import Work
@@ -204,9 +204,7 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
                 f"(at z = {z:.1f} mm, under {worst.force[at]:.0f} N), by {mean:.2f} mm in the mean of its "
                 f"control points: so much too shallow the part will be, {TOLD:g} mm are not told",
                 Severity.WARNING,
-                value=most,
-                limit=TOLD,
-                unit="mm",
+                **measurement(most, TOLD, "mm"),
                 hint="hold the sheet nearer to the part (opening_mm) or more firmly (clamp: border), take "
                 "thicker sheet, or state a measured force_n",
             )
@@ -224,9 +222,7 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
                     f"{holds}, {one.force[snaps[0]]:.0f} N are expected; beyond, it snaps "
                     f"or buckles",
                     Severity.WARNING,
-                    value=float(one.force[snaps[0]]),
-                    limit=float(reached),
-                    unit="N",
+                    **measurement(float(one.force[snaps[0]]), float(reached), "N"),
                     hint="hold the sheet nearer to the part, form in more passes, or take thicker sheet",
                 )
             )
@@ -309,9 +305,7 @@ def estimate_issues(work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Es
             what,
             Severity.WARNING,
             field=field,
-            value=most,
-            limit=TOLD,
-            unit="mm",
+            **measurement(most, TOLD, "mm"),
             hint=hint,
         )
     ]

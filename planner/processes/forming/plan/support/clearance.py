@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import small_pieces
-from planner.geometry.units import DEG, MM
+from planner.geometry.units import DEG, MM, measurement
 from planner.issues import Issue, Severity
 from planner.problem import Stock
 from planner.processes.forming.plan.contact import ContactPath, Pass, ToolPath
@@ -177,9 +177,7 @@ def radius_issue(
         "forming.support_radius",
         f"{what}; the largest that fits is {fits / MM:.2f} mm" if known else what,
         Severity.WARNING,
-        value=float(radii[1]) / MM,
-        limit=fits / MM if known else None,
-        unit="mm",
+        **measurement(float(radii[1]) / MM, fits / MM if known else None, "mm"),
         hint="take a smaller supporting tool, or round the part more" if known else "round the part there",
     )
 
@@ -344,9 +342,7 @@ def _issue(one: Pass, arm: str, deep: float, point: FloatArray, index: int, wide
         field="sheet.opening_mm",
         arm=arm,
         index=index,
-        value=deep / MM,
-        limit=0.0,
-        unit="mm",
+        **measurement(deep / MM, 0.0, "mm"),
         hint=f"make the opening {wider:.1f} mm wider and twice settings.clearance_mm besides; or "
         "take a slimmer tool or a smaller disk, let the tool lean less, or make the clamp's bars lower",
     )

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IndexArray
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity, TandemError
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.elastic.family import FamilyFit, SectionSet
@@ -130,9 +130,7 @@ def _ends(op: ElasticWire, route: Route, figures: Figures) -> list[Issue]:
             f"{op.margin_mm:g} mm are wanted",
             field="wire.length_mm",
             index=worst,
-            value=op.chosen.length_mm,
-            limit=float(np.ceil(need)),
-            unit="mm",
+            **measurement(op.chosen.length_mm, float(np.ceil(need)), "mm"),
             hint=f"use a wire of {np.ceil(need / 5.0) * 5.0:.0f} mm or more, or a narrower block",
         )
     ]
@@ -169,9 +167,7 @@ def _bending(wire: Wire, route: Route, figures: Figures) -> list[Issue]:
             f"{wire.material.title} of {wire.thickness * 1e3:g} mm stays elastic down to "
             f"{wire.min_bend_radius * 1e3:.0f} mm",
             index=worst,
-            value=float(1e3 / figures.curvature[worst]),
-            limit=float(wire.min_bend_radius * 1e3),
-            unit="mm",
+            **measurement(float(1e3 / figures.curvature[worst]), float(wire.min_bend_radius * 1e3), "mm"),
             hint=f"use a wire no thicker than {thin * 1e3:.2f} mm, a stronger material, or flatter sections",
         )
     ]
@@ -243,9 +239,7 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
             Issue(
                 "wire.weight",
                 f"{what} {reached}, {op.shape_tol_mm:g} mm are wanted: the wire's weight {bends}",
-                value=min(share[1], 1.0) * 1e3,
-                limit=op.shape_tol_mm,
-                unit="mm",
+                **measurement(min(share[1], 1.0) * 1e3, op.shape_tol_mm, "mm"),
                 hint=f"use a strip across the sweep{strip}, a shorter wire, upright "
                 "sections (sections: parallel), or a block that stands so that the sections are upright",
             )
@@ -260,9 +254,7 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
                 f"{what} {reached} with ends off by {op.end_error_mm:g} mm, {op.shape_tol_mm:g} mm are "
                 "wanted: "
                 f"the wire moves {feels} for 0.1 mm at its ends",
-                value=min(share[2], 1.0) * 1e3,
-                limit=op.shape_tol_mm,
-                unit="mm",
+                **measurement(min(share[2], 1.0) * 1e3, op.shape_tol_mm, "mm"),
             )
         ]
     return []
@@ -294,9 +286,7 @@ def misfit(
             f"{op.name}: {op.chosen} swept along {op.way} meets {op.share * 100:g} % of the "
             f"{name} face within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is "
             f"at {sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
-            value=got * 1e3,
-            limit=op.shape_tol_mm,
-            unit="mm",
+            **measurement(got * 1e3, op.shape_tol_mm, "mm"),
         )
     ]
 
@@ -317,9 +307,7 @@ def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> lis
             "mm of the block, "
             f"{0.5 * op.margin_mm:g} mm are kept",
             index=worst,
-            value=float(near[worst] * 1e3),
-            limit=0.5 * op.margin_mm,
-            unit="mm",
+            **measurement(float(near[worst] * 1e3), 0.5 * op.margin_mm, "mm"),
             hint="use runs: one, a larger margin_mm, or faces that leave the block straight",
         )
     ]

@@ -22,7 +22,7 @@ from planner.claims.claim import Claim
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Mesh, from_parts
 from planner.geometry.mesh import TriangleMesh, offset
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire import sentences as hotwire_sentences
@@ -467,9 +467,7 @@ def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
                 f"{op.name}: the wire of {op.chosen.length_mm:g} mm is shorter than the longest section of "
                 f"the {name} face across {op.way}, with its margins {math.ceil(10.0 * need) / 10.0:g} mm",
                 field="wire.length_mm",
-                value=op.chosen.length_mm,
-                limit=need,
-                unit="mm",
+                **measurement(op.chosen.length_mm, need, "mm"),
             )
         )
 
@@ -489,9 +487,7 @@ def _driven(op: ElasticWire, route: Route, off: FloatArray, miss: FloatArray) ->
             "is off by "
             f"{off[first] * 1e3:.2f} mm or has no equilibrium, although targets were added",
             index=first,
-            value=float(off[first] * 1e3),
-            limit=0.5 * op.shape_tol_mm,
-            unit="mm",
+            **measurement(float(off[first] * 1e3), 0.5 * op.shape_tol_mm, "mm"),
             hint="use a smaller step_mm or smoother faces",
         )
     ]

@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from planner.catalogue.materials import Foam, KerfFit, KerfTests
 from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError
 from planner.processes.hotwire.plan.kerf import models
 from planner.processes.hotwire.plan.kerf.test_cuts import Cuts
@@ -290,9 +290,7 @@ def _narrow(name: str, rows: list[Row], kerf: FloatArray, diameter: float) -> li
             f"kerf: got {kerf[k]:.3f} mm, allowed above the wire's {diameter:g} mm",
             file=name,
             line=rows[k][0],
-            value=float(kerf[k]),
-            limit=diameter,
-            unit="mm",
+            **measurement(float(kerf[k]), diameter, "mm"),
             hint=hint,
         )
         for k in np.flatnonzero(kerf <= diameter)

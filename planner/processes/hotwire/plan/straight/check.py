@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Ruled, Shape, corners, inverse, transform
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity
 from planner.problem import Part, Setup
 from planner.processes.hotwire.plan.kerf import width as kerfs
@@ -67,8 +67,7 @@ def _tight(op: Straight, cut: Cut) -> Iterator[Issue]:
                 f"{op.name}: {name} is bent inward more tightly than half a kerf, {made.half[k, e] / MM:.2f} "
                 f"mm, at {place_text(feet[k])}; take a thinner slot, or a larger radius there",
                 field=str(name),
-                value=float(made.half[k, e] / MM),
-                unit="mm",
+                **measurement(float(made.half[k, e] / MM), None, "mm"),
             )
             return
 
@@ -89,9 +88,7 @@ def _crossing(op: Straight, cut: Cut) -> Iterator[Issue]:
                 f"{near[k] / MM:.2f} mm off another piece of the same surface: it crosses itself, or a gap "
                 "is narrower than the slot; take a thinner slot or change the outline",
                 field=str(cut.wanted.segment),
-                value=float(near[k] / MM),
-                limit=allowed / MM,
-                unit="mm",
+                **measurement(float(near[k] / MM), allowed / MM, "mm"),
             )
             return
 
@@ -109,17 +106,14 @@ def _slit(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> 
             f"{what}: {how}; glue it, or cut the part in two there",
             Severity.NOTE,
             field=str(cut.wanted.segment),
-            value=start.through / MM,
-            unit="mm",
+            **measurement(start.through / MM, None, "mm"),
         )
         return
     yield Issue(
         "straight.lead",
         f"{what}: {how}; give another lead, or move the pieces apart",
         field=str(cut.wanted.segment),
-        value=start.through / MM,
-        limit=0.0,
-        unit="mm",
+        **measurement(start.through / MM, 0.0, "mm"),
     )
 
 
@@ -140,8 +134,7 @@ def check_model(op: Straight, setup: Setup, bow: Bow, cuts: list[Cut], thickness
             f"are within {spread:.2f} mm of it",
             Severity.WARNING,
             field="operations.power_w",
-            value=spread,
-            unit="mm",
+            **measurement(spread, None, "mm"),
             hint="make test cuts, see tandem kerf fit, or state their kerf_mm instead of power_w",
         )
 
@@ -161,9 +154,7 @@ def check_bow(
             "mm; take a "
             "wider bow or a smaller block, or let the wire run along another axis",
             index=k,
-            value=float(need[k] / MM),
-            limit=bow.span / MM,
-            unit="mm",
+            **measurement(float(need[k] / MM), bow.span / MM, "mm"),
         )
     inside = np.flatnonzero(np.isfinite(chord(lines, box)[0]))
     if not inside.size:
@@ -178,9 +169,7 @@ def check_bow(
             f"on every side, but the bow's throat is free for {bow.throat / MM:.0f} mm; take a bow that is "
             f"{deeper:.0f} mm deeper (throat_mm: {bow.stated_throat / MM + deeper:.0f}), or a smaller block",
             index=int(inside[k]),
-            value=float(depth[k] / MM),
-            limit=bow.throat / MM,
-            unit="mm",
+            **measurement(float(depth[k] / MM), bow.throat / MM, "mm"),
         )
 
 

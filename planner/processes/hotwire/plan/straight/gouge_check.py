@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, Ruled, dots
 from planner.geometry.rulings import resample, tessellate
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue
 from planner.processes.hotwire.plan.operation import Straight, SurfaceCut
 from planner.processes.hotwire.plan.straight.cut import Cut
@@ -111,9 +111,7 @@ def _issue(
         f"{op.name}: the slot of {cut.wanted.segment} takes {depth:.2f} mm off {other.name} at {where}: "
         f"{what}",
         field=str(cut.wanted.segment),
-        value=depth,
-        limit=GRAZE_SHARE * op.shape_tol_mm,
-        unit="mm",
+        **measurement(depth, GRAZE_SHARE * op.shape_tol_mm, "mm"),
     )
 
 
@@ -314,9 +312,7 @@ def _beside(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -
                 f"{place_text(point)}; move the pieces apart, take a thinner slot"
                 + ("" if code == "straight.crossing" else " or give another lead"),
                 field=str(cut.wanted.segment),
-                value=depth / MM,
-                limit=allowed / MM,
-                unit="mm",
+                **measurement(depth / MM, allowed / MM, "mm"),
             )
             return
 
@@ -342,9 +338,7 @@ def _along(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) ->
                     f"{op.name}: the slit to {cut.wanted.segment} runs along {other.name} for "
                     f"{beside / MM:.1f} mm and takes from it; give another lead",
                     field=str(cut.wanted.segment),
-                    value=beside / MM,
-                    limit=STEEP_WAY * half * crossed / MM,
-                    unit="mm",
+                    **measurement(beside / MM, STEEP_WAY * half * crossed / MM, "mm"),
                 )
                 return
 
@@ -387,9 +381,7 @@ def _own_side(op: Straight, cut: Cut) -> Iterator[Issue]:
         f"{op.name}: the lead of {cut.wanted.segment} comes through the part, {depth / MM:.1f} mm below its "
         f"surface, to {place_text(foot.start[0])}; give a lead on the outer side, or auto",
         field=str(cut.wanted.segment),
-        value=depth / MM,
-        limit=0.0,
-        unit="mm",
+        **measurement(depth / MM, 0.0, "mm"),
     )
 
 

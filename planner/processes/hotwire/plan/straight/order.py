@@ -17,7 +17,7 @@ import shapely
 
 from planner.claims.segments import Segment, clash
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled, dots
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire.plan.operation import BLOCK_SIDES, Straight, SurfaceCut, TrimCut
@@ -408,9 +408,7 @@ def _no_oversize(op: Straight, stock: Stock, side: str) -> list[Issue]:
             f"{op.name}: side {side} is to be trimmed, but the block stands out of the datum block by "
             f"{over / MM:g} mm there; give stock.oversize_mm, or leave the side out",
             field="stock.oversize_mm",
-            value=over / MM,
-            limit=LEAST_OVERSIZE / MM,
-            unit="mm",
+            **measurement(over / MM, LEAST_OVERSIZE / MM, "mm"),
         )
     ]
 

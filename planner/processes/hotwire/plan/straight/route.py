@@ -20,7 +20,7 @@ from scipy.spatial import ConvexHull
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, exp_rotation
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity
 from planner.problem import Setup
 from planner.processes.hotwire import sentences as hotwire_sentences
@@ -309,8 +309,7 @@ def check_drops(op: Straight, cuts: list[Cut], setup: Setup) -> Iterator[Issue]:
             f"{cuts[later[0]].wanted.segment} is cut in it; set spacers: true, or cut it later",
             Severity.WARNING,
             field=str(cut.wanted.segment),
-            value=slot,
-            unit="mm",
+            **measurement(slot, None, "mm"),
             accepted=False,
         )
 

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.geometry.units import MM
+from planner.geometry.units import MM, measurement
 from planner.issues import Issue, Severity
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.operation import Straight
@@ -91,9 +91,7 @@ def _issue(op: Straight, cut: Cut, code: str, row: int, end: int, hint: str) -> 
         code,
         f"{wire} at {place} {other}, melts {width:.2f} mm and {what}; allowed are {low:g} to {high:g} mm",
         field="operations.power_w",
-        value=width,
-        limit=limit,
-        unit="mm",
+        **measurement(width, limit, "mm"),
         hint=hint,
     )
 
@@ -248,9 +246,7 @@ def check_driven(
             f"as the feed asks for, so that it melts {worst / MM:.2f} mm into the part at "
             f"{_place(beside, int(row), float(end))}",
             field=str(cut.wanted.segment),
-            value=worst / MM,
-            limit=allowed / MM,
-            unit="mm",
+            **measurement(worst / MM, allowed / MM, "mm"),
             hint=hint,
         )
 
@@ -277,9 +273,7 @@ def check_inner(op: Straight, cut: Cut, box: FloatArray) -> Iterator[Issue]:
         else f"{what}; cut it off by hand, take a thinner slot or round the corner",
         Severity.ERROR if over else Severity.NOTE,
         field=str(cut.wanted.segment),
-        value=deep,
-        limit=op.left_mm,
-        unit="mm",
+        **measurement(deep, op.left_mm, "mm"),
     )
 
 
@@ -301,9 +295,7 @@ def _width(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
                 f"{_place(passed, int(row), float(WIRE_SHARES[column]))}, it melts {value:.2f} mm "
                 f"and {words}",
                 field="operations.power_w",
-                value=value,
-                limit=limit,
-                unit="mm",
+                **measurement(value, limit, "mm"),
             )
 
 
@@ -331,9 +323,7 @@ def _off(op: Straight, cut: Cut, passed: Melted, why: str = "") -> Iterator[Issu
             f"{op.name}: on {cut.wanted.segment} {why}, at {where}: {worst / MM:.2f} mm are missing or left; "
             f"{remedy}",
             field=str(cut.wanted.segment),
-            value=worst / MM,
-            limit=allowed / MM,
-            unit="mm",
+            **measurement(worst / MM, allowed / MM, "mm"),
         )
 
 
