@@ -251,7 +251,7 @@ def stationed(
         going = [axes[name] for name in axes if name in (*own.arms, STOCK)]  # as programs move them
         found = _Stood(at, own)
         if going:
-            found = _placed(problem.stationed({**out, index: at}), index, own, going, at, passes)
+            found = _placed(_Work(problem.stationed({**out, index: at}), index, own, at, passes), going)
         gone = {name: float(values[-1]) for name, values in found.targets.ride.items()}
         out[index] = {**found.at, **{f"{name}{END}": value for name, value in gone.items()}}
         at = {**found.at, **gone}
@@ -314,6 +314,33 @@ def _homes(setup: Setup) -> dict[str, FloatArray]:
 
 
 @dataclasses.dataclass(frozen=True)
+class _Work:
+    """The operation at ``index`` of a problem, with its ``targets``, before which axes go one after the other
+    to their places; all stand ``at`` theirs meanwhile."""
+
+    problem: Problem
+    index: int
+    targets: Targets
+    at: Mapping[str, float]
+    passes: Passes | None
+
+    def setup(self) -> Setup:
+        """The setup of the operation."""
+        return self.problem.setup_of(self.index)
+
+    def stood(self, at: Mapping[str, float]) -> _Work:
+        """The same work with all axes ``at`` other places."""
+        problem = self.problem.stationed({**self.problem.stations, self.index: at})
+        return dataclasses.replace(self, problem=problem, at=at)
+
+    def aimed(self, value: Mapping[str, float]) -> tuple[Scene, Targets]:
+        """The scene, and the targets, where an axis stands at a value and all others at theirs."""
+        problem = self.stood({**self.at, **value}).problem
+        scene = _scene(problem, self.index, self.targets, _model(problem.setup_of(self.index)))
+        return scene, with_aims(scene, self.targets)
+
+
+@dataclasses.dataclass(frozen=True)
 class _Stood:
     """Where all axes stand ``at`` before the first target, and the targets with the values of tracks that go
     along."""
@@ -322,38 +349,24 @@ class _Stood:
     targets: Targets
 
 
-def _placed(
-    problem: Problem,
-    index: int,
-    targets: Targets,
-    axes: Sequence[_Axis],
-    at: Mapping[str, float],
-    passes: Passes | None,
-) -> _Stood:
-    """Where ``axes``, which go there one after the other from ``at``, have a path of the operation; raises
+def _placed(work: _Work, axes: Sequence[_Axis]) -> _Stood:
+    """Where ``axes``, which go there one after the other, have a path of the operation; raises
     ``TandemError`` where there is none. Each is judged by the arms that are placed by then, and by whether
     those behind it have places, too."""
     axis, *rest = axes
     follows = isinstance(axis, _Rails) and axis.track.follow is not None
-    return (_followed if follows else _station)(problem, index, targets, axis, rest, at, passes)
+    return (_followed if follows else _station)(work, axis, rest)
 
 
-def _station(
-    problem: Problem,
-    index: int,
-    targets: Targets,
-    axis: _Axis,
-    rest: Sequence[_Axis],
-    at: Mapping[str, float],
-    passes: Passes | None,
-) -> _Stood:
-    setup = problem.setup_of(index)
+def _station(work: _Work, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
+    problem, index, targets = work.problem, work.index, work.targets
+    setup = work.setup()
     grid = axis.values()
     placed = axis.placed(problem, setup, grid)
-    before = np.array([at[name] for name in axis.names])
+    before = np.array([work.at[name] for name in axis.names])
     most = FEW_TARGETS // len(axis.names)  # a positioner has many more values
     aimed = with_aims(_scene(problem, index, targets), targets)
-    for count in (most,) if passes is None else (FIRST_FEW, most):
+    for count in (most,) if work.passes is None else (FIRST_FEW, most):
         few = few_of(setup.cell, aimed, count, False)
         score = margin(few, *placed, problem.settings, _judged(targets, rest))
         tried: list[FloatArray] = []
@@ -365,44 +378,35 @@ def _station(
             if near and (grid[k] != before).any():
                 continue
             tried.append(grid[k])
-            found = _try(problem, index, targets, axis, rest, at, _named(axis, grid[k]), passes)
+            found = _try(work, axis, rest, _named(axis, grid[k]))
             if isinstance(found, _Stood):
                 return found
             first = first or found  # of the value that was thought best
     if isinstance(first, Issue):
         raise TandemError(first)
     if first == NO_PATH:
-        first = _in_the_way(*_there(problem, index, targets, at, _named(axis, tried[0])))
-    raise TandemError(_nowhere(problem, index, axis, grid, score, tried, first))
+        first = _in_the_way(*work.aimed(_named(axis, tried[0])))
+    raise TandemError(_nowhere(work, axis, grid, score, tried, first))
 
 
-def _try(
-    problem: Problem,
-    index: int,
-    targets: Targets,
-    axis: _Axis,
-    rest: Sequence[_Axis],
-    at: Mapping[str, float],
-    value: Mapping[str, float],
-    passes: Passes | None,
-) -> _Stood | Issue | str:
+def _try(work: _Work, axis: _Axis, rest: Sequence[_Axis], value: Mapping[str, float]) -> _Stood | Issue | str:
     """Where axes stand with ``axis`` at a value; else what comes too near on its way there, why there is no
     place for the ``rest``, or that there is no path."""
-    if any(value[name] != at[name] for name in axis.names) and passes is None:
-        enough = problem.settings.clearance + WAY_ROOM_M
-        way = axis.way(problem.setup_of(index), at, value, enough)
+    if any(value[name] != work.at[name] for name in axis.names) and work.passes is None:
+        enough = work.problem.settings.clearance + WAY_ROOM_M
+        way = axis.way(work.setup(), work.at, value, enough)
         if not way.clear:
             return f"on the way there {_near(way)}"
-    here = {**at, **value}
+    here = {**work.at, **value}
     if rest:
         try:
-            there = problem.stationed({**problem.stations, index: here})
-            return _placed(there, index, targets, rest, here, passes)
+            return _placed(work.stood(here), rest)
         except TandemError as error:
             return error.issues[0]
-    scene, own = _there(problem, index, targets, at, value)
-    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, index)
-    return _Stood(here, targets) if free else NO_PATH
+    scene, own = work.aimed(value)
+    passes = work.passes
+    free = isinstance(find_path(scene, own)[1], Found) if passes is None else passes(scene, own, work.index)
+    return _Stood(here, work.targets) if free else NO_PATH
 
 
 def _judged(targets: Targets, rest: Sequence[_Axis]) -> tuple[str, ...]:
@@ -410,17 +414,10 @@ def _judged(targets: Targets, rest: Sequence[_Axis]) -> tuple[str, ...]:
     return tuple(arm for arm in targets.arms if all(axis.name != arm for axis in rest))
 
 
-def _followed(
-    problem: Problem,
-    index: int,
-    targets: Targets,
-    axis: _Axis,
-    rest: Sequence[_Axis],
-    at: Mapping[str, float],
-    passes: Passes | None,
-) -> _Stood:
+def _followed(work: _Work, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
     """The values of a track that goes along in an operation, with which there is a way to the first one and a
     path."""
+    problem, index, targets = work.problem, work.index, work.targets
     scene, name = _scene(problem, index, targets), problem.operations[index].name
     slides = following.slides(scene, targets, axis.name)
     if slides > following.MOST_SLIDE_M:
@@ -433,19 +430,19 @@ def _followed(
 
     def fault(riding: Targets) -> str:
         values = riding.ride[axis.name]
-        start = {axis.name: float(values[0])}
-        found = _try(problem, index, riding, axis, rest, at, start, passes)
+        start, own = {axis.name: float(values[0])}, dataclasses.replace(work, targets=riding)
+        found = _try(own, axis, rest, start)
         if found == NO_PATH:
-            return _in_the_way(*_there(problem, index, riding, at, start))
+            return _in_the_way(*own.aimed(start))
         if isinstance(found, str):
             return found
         if isinstance(found, Issue):
             others.append(found)
             return found.message
         kept.append(found)
-        return "" if passes is not None else _base_fault(problem, index, axis, found.at, values)
+        return "" if work.passes is not None else _base_fault(work, axis, found.at, values)
 
-    cell, judged = problem.setup_of(index).cell, _judged(targets, rest)
+    cell, judged = work.setup().cell, _judged(targets, rest)
     found = following.chosen(scene, cell, targets, axis.name, judged, fault)
     if not isinstance(found, following.Unreached):
         return kept[-1]
@@ -470,17 +467,15 @@ def _followed(
     raise TandemError(Issue("motion.station", what, arm=axis.name, hint=hint, field=f"operations.{index}"))
 
 
-def _base_fault(
-    problem: Problem, index: int, axis: _Axis, at: Mapping[str, float], values: FloatArray
-) -> str:
+def _base_fault(work: _Work, axis: _Axis, at: Mapping[str, float], values: FloatArray) -> str:
     """What the base itself comes too near to while it goes along with ``values`` (N,) [m]; the rest of the
     arm is looked at as it works."""
     low, high = float(values.min()), float(values.max())
-    setup = problem.stationed({**problem.stations, index: {**at, axis.name: low}}).setup_of(index)
+    setup = work.stood({**at, axis.name: low}).setup()
     model = _model(setup)
     bodies = sorted({solid.body for solid in model.solids})
     aside = frozenset(map(frozenset, itertools.combinations(bodies, 2)))
-    enough = problem.settings.clearance + WAY_ROOM_M
+    enough = work.problem.settings.clearance + WAY_ROOM_M
     way = axis_way.along(model, axis.name, (low, high), _homes(setup), enough, aside)
     if way.clear:
         return ""
@@ -539,19 +534,6 @@ def _near(way: AxisWay) -> str:
     return said
 
 
-def _there(
-    problem: Problem,
-    index: int,
-    targets: Targets,
-    at: Mapping[str, float],
-    value: Mapping[str, float],
-) -> tuple[Scene, Targets]:
-    """The scene, and the targets, where an axis stands at a value and all others ``at`` theirs."""
-    there = problem.stationed({**problem.stations, index: {**at, **value}})
-    scene = _scene(there, index, targets, _model(there.setup_of(index)))
-    return scene, with_aims(scene, targets)
-
-
 def _in_the_way(scene: Scene, targets: Targets) -> str:
     """What leaves no path, the first of what is found."""
     grid, found = find_path(scene, targets)
@@ -560,14 +542,14 @@ def _in_the_way(scene: Scene, targets: Targets) -> str:
 
 
 def _nowhere(
-    problem: Problem,
-    index: int,
+    work: _Work,
     axis: _Axis,
     grid: FloatArray,
     score: FloatArray,
     tried: Sequence[FloatArray],
     reasons: str,
 ) -> Issue:
+    problem, index = work.problem, work.index
     name, table = problem.operations[index].name, axis.name == STOCK
 
     def shown(row: FloatArray) -> str:
