@@ -5,21 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from planner.element import nest
 from planner.element.block_drawing import drawing
 from planner.element.element_file import Element
-from planner.element.nest import (
-    NestedBlock,
-    Nesting,
-    PanelBlock,
-    RawBlock,
-    Sawing,
-    nested,
-    stock_file,
-    table,
-    told,
-    total_yields,
-    yields,
-)
 from planner.element.row_jobs import row_files
 from planner.element.rows import ROOM, Limits
 from planner.element.saw_jobs import saw_files
@@ -34,7 +22,7 @@ PROBLEMS: Final = ("panels", "blocks", AGAIN)
 
 
 def nested_folder(
-    element: Element, panels: Sequence[PanelBlock]
+    element: Element, panels: Sequence[nest.PanelBlock]
 ) -> tuple[dict[str, str], tuple[Issue, ...], dict[str, Any]]:
     """Files by their names, what is to be said, and the data; nothing where the element states no raw blocks.
     Raises ``TandemError``: ``element.raw_block``."""
@@ -44,7 +32,7 @@ def nested_folder(
     raw = []
     for one in file.sizes:
         length, width, thickness = (v * MM for v in one.size_mm)
-        raw.append(RawBlock(length, width, thickness, one.foam))
+        raw.append(nest.RawBlock(length, width, thickness, one.foam))
     bow = None if file.bow is None else Bow(file.bow.span_mm * MM, file.bow.throat_mm * MM)
     kerf = file.kerf_mm * MM
     saw, cut, kept = element.saw, element.file.cut_blocks, file.keep_mm * MM
@@ -53,11 +41,11 @@ def nested_folder(
         if saw is None or cut is None or not cut.together
         else Limits(saw.bow, saw.margin, kept, saw.clearance + kerf + ROOM)
     )
-    sawing = Sawing(kerf, file.oversize_mm * MM, file.grain == "any", bow, kept, together)
-    made = nested(name, panels, raw, element.stock, sawing)
+    sawing = nest.Sawing(kerf, file.oversize_mm * MM, file.grain == "any", bow, kept, together)
+    made = nest.nested(name, panels, raw, element.stock, sawing)
     problems: dict[str, str] = {}
     jobs: dict[str, list[dict[str, Any]]] = {}
-    said = told(made, panels, sawing)
+    said = nest.told(made, panels, sawing)
     if saw is not None and cut is not None:
         problems, jobs, of_jobs = saw_files(element, saw, made, panels)
         said += of_jobs
@@ -68,9 +56,9 @@ def nested_folder(
             own += more
     names = {block: [job["id"] for job in own] for block, own in jobs.items()}
     files = {
-        "blocks.csv": table(made, panels, names, together is not None),
+        "blocks.csv": nest.table(made, panels, names, together is not None),
         "blocks.svg": drawing(name, made, panels, kerf),
-        "stock.csv": stock_file(made),
+        "stock.csv": nest.stock_file(made),
         **problems,
     }
     data = _data(made, panels, sawing)
@@ -91,14 +79,14 @@ def rows_in(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     }
 
 
-def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[str, Any]:
+def _data(made: nest.Nesting, panels: Sequence[nest.PanelBlock], sawing: nest.Sawing) -> dict[str, Any]:
     """Blocks with where their panels lie and their cuts in order [mm]: corners of parts at x and y, the slot
     from place on along the axis, through a part that is as long as the cut."""
 
     def mm(value: float) -> float:
         return round(value / MM, 3) + 0.0
 
-    volume, boxes = total_yields(made, panels)
+    volume, boxes = nest.total_yields(made, panels)
     return {
         "least": made.bound,
         "least_because": made.least,
@@ -112,8 +100,8 @@ def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[s
                 "left_over": block.source,
                 "size_mm": [mm(v) for v in block.size],
                 "foam": block.foam,
-                "yield_volume": round(yields(block, panels)[0], 4),
-                "yield_boxes": round(yields(block, panels)[1], 4),
+                "yield_volume": round(nest.yields(block, panels)[0], 4),
+                "yield_boxes": round(nest.yields(block, panels)[1], 4),
                 "panels": [
                     {
                         "id": panels[block.panel(part.box)].name,
@@ -140,7 +128,7 @@ def _data(made: Nesting, panels: Sequence[PanelBlock], sawing: Sawing) -> dict[s
     }
 
 
-def _why(block: NestedBlock, part: Part) -> dict[str, str]:
+def _why(block: nest.NestedBlock, part: Part) -> dict[str, str]:
     """Why a panel is cut by itself, where others are cut together."""
     why = block.alone.get(block.panel(part.box))
     return {} if why is None else {"alone": why}

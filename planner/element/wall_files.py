@@ -10,20 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from planner.element import jobs
 from planner.element.assembly import GIVE
 from planner.element.dowels import square
 from planner.element.element_file import Element, StripsElement, WallElement
-from planner.element.jobs import (
-    block_mm,
-    chosen_templates,
-    cut_figures,
-    pose_mm,
-    problem,
-    problem_text,
-    row_names,
-    ruled,
-    ruled_way,
-)
 from planner.element.nest import PanelBlock
 from planner.element.output import finished, outline, table, weight_kg
 from planner.element.panel_drawing import DrawnPanel, panels_drawing
@@ -135,21 +125,23 @@ def _folder(
     more: dict[str, Any],
 ) -> tuple[dict[str, str], tuple[Issue, ...]]:
     names = numbers(panels)
-    templates = chosen_templates(element, panels, names)
+    templates = jobs.chosen_templates(element, panels, names)
     files, rows, data, blocks = {}, [], [], []
     up = assembly(panels, names, stands, element.file.thickness_mm * MM, square(element))
     columns, bodies = up.columns(), up.data()
     for k, (panel, own, name, place, template) in enumerate(
         zip(panels, laid, names, _places(panels), templates, strict=True)
     ):
-        made = problem(element, panel, name, template, _part(panel))
-        files[f"panels/{name}.yaml"] = problem_text(element, name, made)
+        made = jobs.problem(element, panel, name, template, _part(panel))
+        files[f"panels/{name}.yaml"] = jobs.problem_text(element, name, made)
         blocks.append(panel_block(element, panel, name))
         row = {**_row(element, panel, own, blocks[-1], place, template.file), **columns[k]}
         rows.append({**row, "neighbours": " ".join(dict.fromkeys(one for one in own.beyond if one))})
         drawn = {"neighbours": list(own.beyond), "outline_mm": np.round(np.array(own.ring), 2).tolist()}
-        takes = cut_figures(template, functools.partial(ruled_way, made))
-        data.append({**row, **drawn, **own.data, **bodies[k], **takes, "block_pose": pose_mm(panel.pose)})
+        takes = jobs.cut_figures(template, functools.partial(jobs.ruled_way, made))
+        data.append(
+            {**row, **drawn, **own.data, **bodies[k], **takes, "block_pose": jobs.pose_mm(panel.pose)}
+        )
     files["panels.csv"] = table(rows)
     files["panels.svg"] = _drawing(element, laid, names, told)
     files["element.obj"] = up.obj()
@@ -208,7 +200,7 @@ def _joints(
 
 def panel_block(element: Element, panel: WallPanel, name: str) -> PanelBlock:
     """What is nested into raw blocks for a panel."""
-    length, width, high = (v * MM for v in block_mm(panel))
+    length, width, high = (v * MM for v in jobs.block_mm(panel))
     own = element.file.blocks[panel.block].foam
     return PanelBlock(
         name, length, width, high, panel.volume, own, Shape(panel.ring, (panel.back, panel.front))
@@ -218,7 +210,7 @@ def panel_block(element: Element, panel: WallPanel, name: str) -> PanelBlock:
 def _places(panels: Sequence[WallPanel]) -> tuple[str, ...]:
     """Where panels belong: a letter for each strip or row, and a number in it."""
     order = sorted(range(len(panels)), key=lambda k: panels[k].piece.place)
-    named = row_names([panels[k].piece.place[0] for k in order])
+    named = jobs.row_names([panels[k].piece.place[0] for k in order])
     return tuple(name for _, name in sorted(zip(order, named, strict=True)))
 
 
@@ -226,9 +218,9 @@ def _part(panel: WallPanel) -> dict[str, Any]:
     """Front, back and sides as the part of a problem file; each goes on beyond the others."""
     return {
         "ruled": [
-            ruled("front", *panel.front),
-            ruled("back", *panel.back, flip=True),
-            *(ruled(name, *side) for name, side in zip(SIDES, panel.sides, strict=True)),
+            jobs.ruled("front", *panel.front),
+            jobs.ruled("back", *panel.back, flip=True),
+            *(jobs.ruled(name, *side) for name, side in zip(SIDES, panel.sides, strict=True)),
         ]
     }
 
@@ -247,7 +239,7 @@ def _row(
         "from_share": round(laid.across[0], 6),
         "to_share": round(laid.across[1], 6),
         **{f"box_{side}_mm": round(v / MM, 3) for side, v in box},
-        **{f"block_{axis}_mm": v for axis, v in zip("xyz", block_mm(panel), strict=True)},
+        **{f"block_{axis}_mm": v for axis, v in zip("xyz", jobs.block_mm(panel), strict=True)},
         "raw_block_mm": " x ".join(f"{v:g}" for v in block.size_mm),
         "volume_l": round(1e3 * panel.volume, 4),
         "weight_kg": weight_kg(own),

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, Tag
 
+from planner import tooling
 from planner.catalogue.robots import JointStiffness, RobotData, robot, robot_names
 from planner.geometry.arrays import FloatArray, Shape, from_rpy
 from planner.geometry.mesh_files import read_mesh
@@ -22,35 +23,6 @@ from planner.reading.robot_file import OwnRobotFile, Posture, posture_fault, rob
 from planner.reading.strict_yaml import Angle, Choice, FileName, Name, Positive, Strict, Unit, Vector
 from planner.runtime import plugins
 from planner.runtime.plugins import Language
-from planner.tooling import (
-    BOW_SPAN,
-    BOW_THROAT,
-    BOW_WIRE_DIAMETER,
-    DISK_RIM,
-    GRIPPER_REACH,
-    KNIFE_BODY,
-    MILL_HOLDER,
-    MILL_SPINDLE,
-    TORCH_SIZE,
-    Blade,
-    FormingTool,
-    Gripper,
-    Knife,
-    Mill,
-    Tool,
-    Torch,
-    ball_tool,
-    bow,
-    disk_tool,
-    gripper_plate,
-    heat_tool,
-    knife,
-    mill,
-    plain,
-    torch,
-    vacuum_cup,
-    wire_holder,
-)
 
 Stiff = Annotated[float, Field(ge=1e3, le=1e9)]
 """Stiffness of a drive [N m/rad]: below are small toys and other units, above nothing is."""
@@ -116,9 +88,13 @@ class BowFile(Strict):
     """The built-in bow with a straight hot wire; 400 x 400 mm and 650 x 650 mm are the usual ones."""
 
     kind: Literal["bow"]
-    span_mm: float = Field(default=BOW_SPAN / MM, ge=50, le=3000, description="wire between its clamps")
-    throat_mm: float = Field(default=BOW_THROAT / MM, ge=50, le=3000, description="from the beam to the wire")
-    wire_diameter_mm: float = Field(default=BOW_WIRE_DIAMETER / MM, ge=0.01, le=10)
+    span_mm: float = Field(
+        default=tooling.BOW_SPAN / MM, ge=50, le=3000, description="wire between its clamps"
+    )
+    throat_mm: float = Field(
+        default=tooling.BOW_THROAT / MM, ge=50, le=3000, description="from the beam to the wire"
+    )
+    wire_diameter_mm: float = Field(default=tooling.BOW_WIRE_DIAMETER / MM, ge=0.01, le=10)
     tilt_deg: float = Field(default=0.0, ge=-90, le=90, description="of the bow about its wire")
 
 
@@ -127,7 +103,7 @@ class _GripperFile(Strict):
 
     name: Name | None = Field(default=None, description="what people call it; none: by its kind")
     reach_mm: float = Field(
-        default=GRIPPER_REACH / MM, ge=30, le=500, description="from the flange to the block"
+        default=tooling.GRIPPER_REACH / MM, ge=30, le=500, description="from the flange to the block"
     )
     holding_n: float | None = Field(
         default=None, gt=0, le=100_000, description="force that it holds with; none: by its area"
@@ -171,7 +147,7 @@ class DiskToolFile(Strict):
     kind: Literal["disk_tool"]
     radius_mm: float = Field(default=25.4, ge=2, le=200)
     thickness_mm: float = Field(default=12.0, ge=1, le=100)
-    rim_mm: float = Field(default=DISK_RIM / MM, ge=0, le=50, description="rounding of its edge")
+    rim_mm: float = Field(default=tooling.DISK_RIM / MM, ge=0, le=50, description="rounding of its edge")
     shaft_radius_mm: float = Field(default=9.525, ge=0.5, le=200)
     length_mm: float = Field(default=300.0, ge=110, le=1500, description="from the flange to the face")
 
@@ -207,14 +183,14 @@ class MillFile(Strict):
     holder: tuple[HolderPieceFile, ...] = Field(
         default=tuple(
             HolderPieceFile(length_mm=length / MM, diameter_mm=2.0 * radius / MM)
-            for length, radius in MILL_HOLDER
+            for length, radius in tooling.MILL_HOLDER
         ),
         min_length=1,
         max_length=20,
         description="its pieces from the nose to the spindle",
     )
-    spindle_diameter_mm: float = Field(default=2.0 * MILL_SPINDLE[0] / MM, ge=10, le=600)
-    spindle_length_mm: float = Field(default=MILL_SPINDLE[1] / MM, ge=10, le=1500)
+    spindle_diameter_mm: float = Field(default=2.0 * tooling.MILL_SPINDLE[0] / MM, ge=10, le=600)
+    spindle_length_mm: float = Field(default=tooling.MILL_SPINDLE[1] / MM, ge=10, le=1500)
     tilt_deg: float = Field(
         default=0.0, ge=-135, le=135, description="of the spindle against the flange's axis"
     )
@@ -232,14 +208,14 @@ class TorchFile(Strict):
     standoff_mm: float = Field(default=3.0, ge=0.2, le=100, description="from the nozzle to the sheet")
     kerf_mm: float = Field(ge=0.05, le=20, description="width of the slot in this sheet")
     nozzle_diameter_mm: float = Field(
-        default=2.0 * TORCH_SIZE[0] / MM, ge=1, le=200, description="of the nozzle's end"
+        default=2.0 * tooling.TORCH_SIZE[0] / MM, ge=1, le=200, description="of the nozzle's end"
     )
     nozzle_length_mm: float = Field(
-        default=TORCH_SIZE[1] / MM, ge=1, le=500, description="of the cone from its end to the body"
+        default=tooling.TORCH_SIZE[1] / MM, ge=1, le=500, description="of the cone from its end to the body"
     )
-    body_diameter_mm: float = Field(default=2.0 * TORCH_SIZE[2] / MM, ge=5, le=400)
+    body_diameter_mm: float = Field(default=2.0 * tooling.TORCH_SIZE[2] / MM, ge=5, le=400)
     length_mm: float = Field(
-        default=TORCH_SIZE[3] / MM, ge=110, le=1500, description="from the flange to the nozzle's end"
+        default=tooling.TORCH_SIZE[3] / MM, ge=110, le=1500, description="from the flange to the nozzle's end"
     )
     tilt_deg: float = Field(
         default=0.0, ge=-135, le=135, description="of the torch against the flange's axis"
@@ -264,9 +240,9 @@ class KnifeFile(Strict):
         ge=0, le=200, description="height over which its edge goes from the end to its whole width"
     )
     blade_mm: float = Field(ge=1, le=300, description="of the blade out of its body")
-    body_diameter_mm: float = Field(default=2.0 * KNIFE_BODY[0] / MM, ge=5, le=400)
+    body_diameter_mm: float = Field(default=2.0 * tooling.KNIFE_BODY[0] / MM, ge=5, le=400)
     length_mm: float = Field(
-        default=KNIFE_BODY[1] / MM, ge=75, le=1500, description="from the flange to the tip"
+        default=tooling.KNIFE_BODY[1] / MM, ge=75, le=1500, description="from the flange to the tip"
     )
     turn_deg: float = Field(
         default=0.0, ge=-180, le=180, description="of its edge about the tool's axis, from the flange's x"
@@ -494,9 +470,9 @@ def _said(robot: RobotData) -> tuple[object, ...]:
     return *links, robot.family, robot.payload, robot.assumed, coupling, speeds_up, home
 
 
-def _grippers(spec: CellFile) -> tuple[Gripper, ...]:
+def _grippers(spec: CellFile) -> tuple[tooling.Gripper, ...]:
     """The grippers that lie ready, each with a name of its own."""
-    out: list[Gripper] = []
+    out: list[tooling.Gripper] = []
     for number, one in enumerate(spec.grippers):
         plate = isinstance(one, GripperPlateFile)
         size = (
@@ -515,7 +491,7 @@ def _grippers(spec: CellFile) -> tuple[Gripper, ...]:
         if made.name.lower() in [other.name.lower() for other in out]:
             what = f"grippers.{number}: the name '{made.name}' is given more than once; name them apart"
             raise TandemError(Issue("problem.duplicate_name", what, field=f"grippers.{number}"))
-        out += [made] if isinstance(made, Gripper) else []
+        out += [made] if isinstance(made, tooling.Gripper) else []
     return tuple(out)
 
 
@@ -532,94 +508,63 @@ def shape(spec: ShapeFile, folder: Path) -> Shape:
     return Shape("mesh", (), pose, mesh.vertices, mesh.faces)
 
 
-def tool(spec: ToolFile, folder: Path) -> Tool:
-    """One tool in SI units."""
+def tool(spec: ToolFile, folder: Path) -> tooling.Tool:
+    """One tool in SI units. Raises ``TandemError`` (``problem.field``) where the sizes of a working tool do
+    not go together, and ``ValueError`` where those of a bow or a gripper do not."""
     if isinstance(spec, WireHolderFile):
-        return wire_holder(spec.mounting, spec.side)
+        return tooling.wire_holder(spec.mounting, spec.side)
     if isinstance(spec, BowFile):
-        return bow(spec.span_mm * MM, spec.throat_mm * MM, spec.wire_diameter_mm * MM, spec.tilt_deg * DEG)
+        size = spec.span_mm * MM, spec.throat_mm * MM
+        return tooling.bow(*size, spec.wire_diameter_mm * MM, spec.tilt_deg * DEG)
     if isinstance(spec, GripperPlateFile):
         size = spec.width_mm * MM, spec.depth_mm * MM
-        return gripper_plate(*size, spec.reach_mm * MM, spec.holding_n, spec.name)
+        return tooling.gripper_plate(*size, spec.reach_mm * MM, spec.holding_n, spec.name)
     if isinstance(spec, VacuumCupFile):
-        return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n, spec.name)
-    if isinstance(spec, BallToolFile | DiskToolFile | HeatToolFile):
-        return _forming_tool(spec)
-    if isinstance(spec, MillFile):
-        return _mill(spec)
-    if isinstance(spec, TorchFile):
-        return _torch(spec)
-    if isinstance(spec, KnifeFile):
-        return _knife(spec)
-    shapes = tuple(shape(s, folder) for s in spec.shapes)
-    return plain("plain", spec.tcp.matrix(), shapes, spec.mass_kg, np.array(spec.cog_mm) * MM)
-
-
-def _forming_tool(spec: BallToolFile | DiskToolFile | HeatToolFile) -> FormingTool:
-    radius, length = spec.radius_mm * MM, spec.length_mm * MM
+        return tooling.vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n, spec.name)
+    if isinstance(spec, PlainToolFile):
+        shapes = tuple(shape(s, folder) for s in spec.shapes)
+        return tooling.plain("plain", spec.tcp.matrix(), shapes, spec.mass_kg, np.array(spec.cog_mm) * MM)
     try:
-        if isinstance(spec, HeatToolFile):
-            return heat_tool(radius, length, spec.standoff_mm * MM)
-        if isinstance(spec, DiskToolFile):
-            return disk_tool(
-                radius, length, spec.thickness_mm * MM, spec.shaft_radius_mm * MM, spec.rim_mm * MM
-            )
-        shaft = None if spec.shaft_radius_mm is None else spec.shaft_radius_mm * MM
-        return ball_tool(radius, length, shaft, spec.neck_mm * MM, spec.tilt_deg * DEG)
+        return _working_tool(spec)
     except ValueError as error:
         raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
 
 
-def _mill(spec: MillFile) -> Mill:
-    shank = None if spec.shank_diameter_mm is None else 0.5 * spec.shank_diameter_mm * MM
-    try:
-        return mill(
+def _working_tool(
+    spec: BallToolFile | DiskToolFile | HeatToolFile | MillFile | TorchFile | KnifeFile,
+) -> tooling.Tool:
+    """A tool that forms, mills or trims. Raises ``ValueError`` where its sizes do not go together."""
+    if isinstance(spec, MillFile):
+        return tooling.mill(
             spec.cutter,
             0.5 * spec.diameter_mm * MM,
             spec.corner_mm * MM,
             spec.flute_mm * MM,
             spec.overhang_mm * MM,
-            shank,
+            None if spec.shank_diameter_mm is None else 0.5 * spec.shank_diameter_mm * MM,
             [(piece.length_mm * MM, 0.5 * piece.diameter_mm * MM) for piece in spec.holder],
             (0.5 * spec.spindle_diameter_mm * MM, spec.spindle_length_mm * MM),
             spec.tilt_deg * DEG,
             spec.mass_kg,
         )
-    except ValueError as error:
-        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
-
-
-def _torch(spec: TorchFile) -> Torch:
-    try:
-        return torch(
-            spec.cuts_by,
-            spec.standoff_mm * MM,
-            spec.kerf_mm * MM,
-            (
-                0.5 * spec.nozzle_diameter_mm * MM,
-                spec.nozzle_length_mm * MM,
-                0.5 * spec.body_diameter_mm * MM,
-                spec.length_mm * MM,
-            ),
-            spec.tilt_deg * DEG,
-            spec.mass_kg,
-        )
-    except ValueError as error:
-        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
-
-
-def _knife(spec: KnifeFile) -> Knife:
-    sizes = (spec.thickness_mm, spec.width_mm, spec.end_mm, spec.ground_mm, spec.blade_mm)
-    try:
-        return knife(
-            Blade(*(size * MM for size in sizes)),
-            (0.5 * spec.body_diameter_mm * MM, spec.length_mm * MM),
-            spec.turn_deg * DEG,
-            spec.tilt_deg * DEG,
-            spec.mass_kg,
-        )
-    except ValueError as error:
-        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
+    if isinstance(spec, TorchFile):
+        nozzle = 0.5 * spec.nozzle_diameter_mm * MM, spec.nozzle_length_mm * MM
+        body = 0.5 * spec.body_diameter_mm * MM, spec.length_mm * MM
+        cut = spec.standoff_mm * MM, spec.kerf_mm * MM
+        return tooling.torch(spec.cuts_by, *cut, (*nozzle, *body), spec.tilt_deg * DEG, spec.mass_kg)
+    if isinstance(spec, KnifeFile):
+        sizes = (spec.thickness_mm, spec.width_mm, spec.end_mm, spec.ground_mm, spec.blade_mm)
+        blade = tooling.Blade(*(size * MM for size in sizes))
+        body = 0.5 * spec.body_diameter_mm * MM, spec.length_mm * MM
+        return tooling.knife(blade, body, spec.turn_deg * DEG, spec.tilt_deg * DEG, spec.mass_kg)
+    radius, length = spec.radius_mm * MM, spec.length_mm * MM
+    if isinstance(spec, HeatToolFile):
+        return tooling.heat_tool(radius, length, spec.standoff_mm * MM)
+    if isinstance(spec, DiskToolFile):
+        shaft = spec.thickness_mm * MM, spec.shaft_radius_mm * MM
+        return tooling.disk_tool(radius, length, *shaft, spec.rim_mm * MM)
+    own = None if spec.shaft_radius_mm is None else spec.shaft_radius_mm * MM
+    return tooling.ball_tool(radius, length, own, spec.neck_mm * MM, spec.tilt_deg * DEG)
 
 
 def _no_stiffness(arm: ArmFile, number: int) -> Issue:
@@ -642,7 +587,7 @@ def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:
     )
 
 
-def too_heavy(arm: str, field: str, tool: Tool, data: RobotData) -> Issue:
+def too_heavy(arm: str, field: str, tool: tooling.Tool, data: RobotData) -> Issue:
     """A tool beyond the payload of the robot ``data``."""
     return Issue(
         "problem.field",

@@ -25,22 +25,8 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Sheet
+from planner.processes.forming import claims as facts
 from planner.processes.forming import sentences
-from planner.processes.forming.claims import (
-    ComesBack,
-    FollowsOpposite,
-    FormingFeed,
-    FormsByTable,
-    FormsInOrder,
-    FormsLevel,
-    FormsPart,
-    FormsSheet,
-    SheetState,
-    SinksHolder,
-    SupportsBorder,
-    ToolGap,
-    ToolsLean,
-)
 from planner.processes.forming.plan import two_point
 from planner.processes.forming.plan.contact import Pass
 from planner.processes.forming.plan.level import pass_of
@@ -67,18 +53,18 @@ vertical: it follows the smooth face, not its facets."""
 def claims(work: Work) -> tuple[Claim, ...]:
     """The claims of all passes."""
     found = states(work.tree, work.mesh, work.passes, work.thickness, work.before)
-    out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in work.passes))]
+    out: list[Claim] = [facts.FormsInOrder(tuple(segment(one) for one in work.passes))]
     if work.operation.springback is not None:
-        out.append(ComesBack(work.operation.name, tuple(segment(one) for one in work.passes)))
+        out.append(facts.ComesBack(work.operation.name, tuple(segment(one) for one in work.passes)))
     if work.operation.level is not None:
         own = pass_of(work, work.operation.level)
-        out.append(FormsLevel(work.operation.name, segment(own)))
+        out.append(facts.FormsLevel(work.operation.name, segment(own)))
     sinking = two_point.holder_claim(work)
     if sinking is not None:
         out.append(sinking)
     for one, state in zip(work.passes, found, strict=True):
         out.append(_state(work, one, state))
-        out.append(FormingFeed(segment(one), work.operation.arms, work.operation.feed_mm_s * MM))
+        out.append(facts.FormingFeed(segment(one), work.operation.arms, work.operation.feed_mm_s * MM))
         out += _lean(work, one)
         other = work.supporter(one)
         by_table = work.operation.mode == "adsif" and other is not None
@@ -93,14 +79,14 @@ def _lean(work: Work, one: Pass) -> list[Claim]:
         return []
     arms = (work.former(one), *(() if other is None or op.mode == "heat" else (other,)))
     upper = LEVEL_LEAN + (op.lean_deg + op.cone_deg) * DEG
-    return [ToolsLean(segment(one), arms, tuple(work.above(arm) for arm in arms), upper)]
+    return [facts.ToolsLean(segment(one), arms, tuple(work.above(arm) for arm in arms), upper)]
 
 
-def _by_table(work: Work, one: Pass, other: str) -> FormsByTable:
+def _by_table(work: Work, one: Pass, other: str) -> facts.FormsByTable:
     op, held = work.operation, work.operation.adsif
     arms = (work.former(one), other)
     give = 0.0 if held.stiffness_n_mm is None else held.force_n / held.stiffness_n_mm * MM
-    return FormsByTable(
+    return facts.FormsByTable(
         segment(one),
         arms,
         one.side,
@@ -140,10 +126,10 @@ def scallop(work: Work, one: Pass) -> FloatArray:
     )
 
 
-def _state(work: Work, one: Pass, state: State) -> SheetState:
+def _state(work: Work, one: Pass, state: State) -> facts.SheetState:
     arms = tuple(filter(None, (work.former(one), work.supporter(one))))
     heads = tuple(profile(work.heads[arm]) for arm in arms)
-    return SheetState(
+    return facts.SheetState(
         segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, *work.pressed
     )
 
@@ -154,7 +140,9 @@ def _of(work: Work, one: Pass) -> list[Claim]:
     ridge = scallop(work, one) + gouge
     face = (one.vertices, one.faces)
     out: list[Claim] = [
-        FormsSheet(segment(one), arm, one.side, radius, *face, one.start, one.end, gouge, ridge, op.share)
+        facts.FormsSheet(
+            segment(one), arm, one.side, radius, *face, one.start, one.end, gouge, ridge, op.share
+        )
     ]
     if other is None:
         return out
@@ -163,7 +151,7 @@ def _of(work: Work, one: Pass) -> list[Claim]:
         gap, tolerance = op.squeeze * thick, op.gap_tol_mm * MM
         radii, step = (radius, work.heads[other].radius), op.handshake_gap_mm * MM
         out.append(
-            ToolGap(
+            facts.ToolGap(
                 segment(one),
                 (arm, other),
                 one.side,
@@ -178,19 +166,19 @@ def _of(work: Work, one: Pass) -> list[Claim]:
         )
     elif op.mode == "dpif_p":
         border = border_curve(one, work.heads[other], work.thickness)
-        out.append(SupportsBorder(segment(one), other, border, BORDER_TOLERANCE))
+        out.append(facts.SupportsBorder(segment(one), other, border, BORDER_TOLERANCE))
     else:
         away = radius + float(np.median(one.thickness))
         aim = NOZZLE_LEAN + op.cone_deg * DEG
         out.append(
-            FollowsOpposite(
+            facts.FollowsOpposite(
                 segment(one), (arm, other), one.side, *face, away, HEAT_TOLERANCE, NOZZLE_LEAN, aim
             )
         )
     return out
 
 
-def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
+def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> facts.FormsPart:
     """The part and the user's numbers. Raises ``TandemError`` (forming.no_sheet) where there is no sheet."""
     op, sheet = operation, setup.stock.sheet
     if sheet is None or part is None or part.formed is None:
@@ -205,7 +193,7 @@ def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> FormsPar
     die = op.die
     sinks = die is not None and die.holder == "sinking"
     step = op.stepdown_mm if die is None or die.step_mm is None else die.step_mm
-    return FormsPart(
+    return facts.FormsPart(
         mode=op.mode,
         arms=op.arms,
         sides=(1, -1) if len(op.arms) == 2 else (1 if op.side == "top" else -1,),
@@ -253,7 +241,7 @@ def spoken(op: Forming, sheet: Sheet | None) -> tuple[words.Sentence, words.Sent
 
 
 def dialogue(
-    operation: Forming, setup: Setup, wanted: FormsPart, sinks: SinksHolder | None
+    operation: Forming, setup: Setup, wanted: facts.FormsPart, sinks: facts.SinksHolder | None
 ) -> OperatorDialogue:
     """The sheet is told and clamped, for a clamp that sinks as high above its end as the part is deep; then
     come its pulses, any number: they are counted by the claim ``sinks``."""

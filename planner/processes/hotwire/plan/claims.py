@@ -52,18 +52,8 @@ from planner.geometry.rulings import tessellate
 from planner.geometry.units import GRAVITY, MM
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
+from planner.processes.hotwire import claims as facts
 from planner.processes.hotwire import sentences as hotwire_sentences
-from planner.processes.hotwire.claims import (
-    Contour,
-    CutsSurface,
-    FollowsRulings,
-    KerfCurve,
-    KerfWithin,
-    LeadsFrom,
-    SlitsAllowed,
-    StraightWire,
-    WireJoins,
-)
 from planner.processes.hotwire.plan.operation import (
     RESTING_COSINE,
     ElasticWire,
@@ -85,7 +75,7 @@ width."""
 
 def slot(
     kerf_mm: float | None, power_w: float | None, foam: Foam | None, diameter: float, length: float
-) -> KerfCurve:
+) -> facts.KerfCurve:
     """The slot's width over the wire's speed across itself, from what an operation states.
 
     ``kerf_mm`` [mm] counts alone where it is given; else ``power_w`` [W] over the heated ``length`` [m] of a
@@ -93,7 +83,7 @@ def slot(
     Raises ``TandemError``: stock.foam_missing, kerf.no_data, kerf.input.
     """
     if kerf_mm is not None:
-        return KerfCurve.constant(kerf_mm * MM)
+        return facts.KerfCurve.constant(kerf_mm * MM)
     if foam is None or power_w is None:
         raise TandemError(
             Issue(
@@ -115,7 +105,7 @@ def slot(
     speed = np.geomspace(SLOWEST_WIRE, FASTEST_WIRE, SPEED_STEPS)
     melted = power_w / length / (foam.density * heat * (melts - ROOM_TEMPERATURE)) / speed
     width = np.maximum(fit.chi * melted - fit.offset, diameter)
-    return KerfCurve(speed, width, width, width)
+    return facts.KerfCurve(speed, width, width, width)
 
 
 TORSION_TERMS: Final = 40
@@ -346,19 +336,19 @@ def straight_claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Clai
     half = np.array([0.5 * span, 0.0, 0.0])
     kerf = slot(op.kerf_mm, op.power_w, stock.foam, 2.0 * radius, span)
     out: list[Claim] = [
-        StraightWire(op.arms[0], -half, half, radius, op.margin_mm * MM),
+        facts.StraightWire(op.arms[0], -half, half, radius, op.margin_mm * MM),
         ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
     ]
     cuts, tolerance = claimed(op, stock, part, span), op.shape_tol_mm * MM
     out.append(_straight_dialogue(op, bow, setup, cuts))
     for cut in cuts:
         mesh = tessellate(cut.ruled, SURFACE_CHORD)
-        out.append(CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
+        out.append(facts.CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
         start, end = _closed(cut.ruled)
-        out.append(FollowsRulings(cut.segment, start, end, kerf, tolerance, op.left_mm * MM))
+        out.append(facts.FollowsRulings(cut.segment, start, end, kerf, tolerance, op.left_mm * MM))
         if op.power_w is not None:
             low, high = op.kerf_range_mm
-            out.append(KerfWithin(cut.segment, kerf, low * MM, high * MM))
+            out.append(facts.KerfWithin(cut.segment, kerf, low * MM, high * MM))
         fastest = op.feed_mm_s if cut.cut.feed_mm_s is None else cut.cut.feed_mm_s
         feed = op.feed_min_mm_s * MM, fastest * MM
         out += [FeedWindow(cut.segment.at(phase), *feed) for phase in ("", "in", "out")]
@@ -416,23 +406,23 @@ def _bow(op: Straight, setup: Setup) -> Bow:
     raise TandemError(Issue("bow.missing", what, field="cell.arms", arm=op.arms[0]))
 
 
-def _leads(cuts: list[Claimed], tolerance: float) -> list[LeadsFrom]:
+def _leads(cuts: list[Claimed], tolerance: float) -> list[facts.LeadsFrom]:
     """Directions that the user states."""
     return [
-        LeadsFrom(one.segment, np.array(one.cut.lead, dtype=np.float64), tolerance)
+        facts.LeadsFrom(one.segment, np.array(one.cut.lead, dtype=np.float64), tolerance)
         for one in cuts
         if isinstance(one.cut, SurfaceCut) and not isinstance(one.cut.lead, str)
     ]
 
 
-def _slits(cuts: list[Claimed], part: Part | None, box: FloatArray) -> list[SlitsAllowed]:
+def _slits(cuts: list[Claimed], part: Part | None, box: FloatArray) -> list[facts.SlitsAllowed]:
     """Slits through the part, where it has holes and something closed is cut."""
     here = {one.ruled.name: one.segment for one in cuts if one.ruled.closed}
     closed = [ruled for ruled in (() if part is None else part.ruled) if ruled.closed]
     if not here or not any(ruled.hole for ruled in closed):
         return []
-    contours = [Contour(here.get(r.name), r.start, r.end, r.corner, r.hole) for r in closed]
-    return [SlitsAllowed(tuple(contours), box)]
+    contours = [facts.Contour(here.get(r.name), r.start, r.end, r.corner, r.hole) for r in closed]
+    return [facts.SlitsAllowed(tuple(contours), box)]
 
 
 def _closed(ruled: Ruled) -> tuple[FloatArray, FloatArray]:
@@ -461,7 +451,7 @@ def _elastic_claims(op: ElasticWire, own: WireFile, setup: Setup, part: Part | N
     wire = stiffness(wire_material(own.material), diameter, width, thickness, own.temperature_c)
     kerf = slot(op.kerf_mm, op.power_w, setup.stock.foam, diameter or 0.0, length)
     out: list[Claim] = [
-        WireJoins(
+        facts.WireJoins(
             arms=op.arms,
             length=length,
             ei_soft=wire.ei_soft,
@@ -479,12 +469,12 @@ def _elastic_claims(op: ElasticWire, own: WireFile, setup: Setup, part: Part | N
     for name in op.faces:
         segment, face = Segment("cut", name), _face(op, name, part)
         out.append(
-            CutsSurface(segment, face.vertices, face.faces, kerf, op.shape_tol_mm * MM, op.share),
+            facts.CutsSurface(segment, face.vertices, face.faces, kerf, op.shape_tol_mm * MM, op.share),
         )
         out.append(FeedWindow(segment, op.feed_min_mm_s * MM, op.feed_mm_s * MM))
         if op.power_w is not None:
             low, high = op.kerf_range_mm
-            out.append(KerfWithin(segment, kerf, low * MM, high * MM))
+            out.append(facts.KerfWithin(segment, kerf, low * MM, high * MM))
     return tuple(out)
 
 

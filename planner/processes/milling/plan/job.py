@@ -34,17 +34,8 @@ from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.units import DEG, MM
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part
+from planner.processes.milling import claims as facts
 from planner.processes.milling import sentences as milling_sentences
-from planner.processes.milling.claims import (
-    Engraves,
-    MillsFlank,
-    MillsOver,
-    MillsProgram,
-    MillsSurface,
-    ProgramFile,
-    SafeWays,
-    SparesPart,
-)
 from planner.processes.milling.plan.check import check
 from planner.processes.milling.plan.flank_cut import surface
 from planner.processes.milling.plan.operation import (
@@ -90,7 +81,7 @@ def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
         for face in work.faces:
             deep = one.depth if face.name == "front" else 0.0
             mesh = (face.mesh.vertices, face.mesh.faces)
-            out.append(SparesPart(segments, op.arms[0], work.cutter, *mesh, deep, one.tolerance))
+            out.append(facts.SparesPart(segments, op.arms[0], work.cutter, *mesh, deep, one.tolerance))
     return tuple(out)
 
 
@@ -115,9 +106,9 @@ def _dialogue(work: Work) -> OperatorDialogue:
     )
 
 
-def program_file(own: GCodeFile) -> ProgramFile:
+def program_file(own: GCodeFile) -> facts.ProgramFile:
     """What the problem states of a file, word for word."""
-    return ProgramFile(
+    return facts.ProgramFile(
         path=own.file,
         xyz_mm=own.origin.xyz_mm,
         rpy_deg=own.origin.rpy_deg,
@@ -143,17 +134,17 @@ def program_file(own: GCodeFile) -> ProgramFile:
     )
 
 
-def _program(work: Work, one: Done, cut: GCodeCut, first: bool) -> MillsProgram:
+def _program(work: Work, one: Done, cut: GCodeCut, first: bool) -> facts.MillsProgram:
     """The way of a file, which the proof reads itself."""
     safe = _safe(work.operation, work.box)
     file = program_file(cut.gcode)
-    return MillsProgram(cut.name, work.operation.arms[0], file, safe, one.tolerance, AXIS_TURN, first)
+    return facts.MillsProgram(cut.name, work.operation.arms[0], file, safe, one.tolerance, AXIS_TURN, first)
 
 
-def _engraving(work: Work, one: Done, cut: EngraveCut) -> Engraves:
+def _engraving(work: Work, one: Done, cut: EngraveCut) -> facts.Engraves:
     """Curves on the part's front."""
     op, front = work.operation, next(face.mesh for face in work.faces if face.name == "front")
-    return Engraves(
+    return facts.Engraves(
         name=cut.name,
         arm=op.arms[0],
         cutter=work.cutter,
@@ -172,12 +163,12 @@ def _engraving(work: Work, one: Done, cut: EngraveCut) -> Engraves:
     )
 
 
-def _safe(op: Milling, box: FloatArray) -> SafeWays:
+def _safe(op: Milling, box: FloatArray) -> facts.SafeWays:
     """The ways to passes and from them, by the numbers of the problem."""
     across, end = BLOCK_SIDES[op.safe_side]
     up = 1.0 if end else -1.0
     level = float(box[end, across]) + up * op.safe_mm * MM
-    return SafeWays(across, up, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
+    return facts.SafeWays(across, up, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
 
 
 def _feed_claims(work: Work, one: Done) -> list[Claim]:
@@ -204,7 +195,7 @@ def _shape(work: Work, one: Done, part: Part | None) -> list[Claim]:
         if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
             mesh, margin = part.front, one.cut.margin_mm * MM
         bounds = one.tolerance, op.share, margin
-        out.append(MillsSurface(segments, op.arms[0], work.cutter, mesh.vertices, mesh.faces, *bounds))
+        out.append(facts.MillsSurface(segments, op.arms[0], work.cutter, mesh.vertices, mesh.faces, *bounds))
     # where a surface is claimed it is the measure; the way then only says that nothing else is milled
     near = one.tolerance if one.face is None else max(one.tolerance, TIP_OFFSET)
     if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
@@ -214,9 +205,9 @@ def _shape(work: Work, one: Done, part: Part | None) -> list[Claim]:
     return out
 
 
-def _over(work: Work, one: Done, cut: LinesCut, front: Mesh, near: float) -> MillsOver:
+def _over(work: Work, one: Done, cut: LinesCut, front: Mesh, near: float) -> facts.MillsOver:
     """The front, which the cutter's end passes over."""
-    return MillsOver(
+    return facts.MillsOver(
         segments=tuple(run.segment for run in one.runs),
         arm=work.operation.arms[0],
         cutter=work.cutter,
@@ -231,11 +222,11 @@ def _over(work: Work, one: Done, cut: LinesCut, front: Mesh, near: float) -> Mil
     )
 
 
-def _flank(work: Work, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> MillsFlank:
+def _flank(work: Work, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> facts.MillsFlank:
     """A ruled surface that the cutter's side passes, or two guides that its axis does."""
     op, cutter = work.operation, work.cutter
     from_start, by_surface = cut.tip == "start", cut.guides == "surface"
-    return MillsFlank(
+    return facts.MillsFlank(
         segments=tuple(run.segment for run in one.runs),
         arm=op.arms[0],
         cutter=cutter,
@@ -392,7 +383,7 @@ def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[
     )
 
 
-WAYS: Final = (MillsProgram, Engraves, MillsFlank, MillsOver)
+WAYS: Final = (facts.MillsProgram, facts.Engraves, facts.MillsFlank, facts.MillsOver)
 """Claims on the way of the cutter."""
 TURNING_LEVER: Final = TURNING_LEVER_MM * MM
 """What turning counts as [m/rad] where nothing else is known."""
@@ -415,12 +406,12 @@ def rounding(claims: Sequence[Claim]) -> Rounding:
     move in the air, its lean, where no surface asks for more, what that angle allows.
     """
     ways = [claim for claim in claims if isinstance(claim, WAYS)]
-    spared = [claim for claim in claims if isinstance(claim, SparesPart)]
+    spared = [claim for claim in claims if isinstance(claim, facts.SparesPart)]
     tolerance = min((claim.tolerance for claim in (*ways, *spared)), default=np.inf)
     air = min(Rounding.air, TIGHT_SHARE * tolerance)
     work = max(air, ROUNDED_SHARE * tolerance) if np.isfinite(tolerance) else air
     lean, spin = TURNING_LEVER, TURNING_LEVER * work / SPIN_WAY
-    if not spared and not any(isinstance(claim, MillsSurface) for claim in claims):
+    if not spared and not any(isinstance(claim, facts.MillsSurface) for claim in claims):
         lean = min([lean, *(work / (ROUNDED_SHARE * claim.turn) for claim in ways)])
     levers = {claim.arm: np.array([lean, lean, spin]) for claim in ways}
     return Rounding(work, air, air, levers, _curves(claims))
@@ -431,14 +422,14 @@ def _curves(claims: Sequence[Claim]) -> dict[str, tuple[tuple[float, float], ...
     out: dict[str, tuple[tuple[float, float], ...]] = {}
     for claim in claims:
         match claim:
-            case MillsProgram():
+            case facts.MillsProgram():
                 own = 0.0, CURVE_WAY_SHARE * claim.tolerance
-            case Engraves():
+            case facts.Engraves():
                 own = claim.cutter.flute, CURVE_WAY_SHARE * claim.tolerance
-            case SparesPart():
+            case facts.SparesPart():
                 reach = 0.0 if claim.cutter is None else claim.cutter.overhang
                 own = reach, CURVE_SHARE * claim.tolerance
-            case MillsFlank() | MillsOver() | MillsSurface():
+            case facts.MillsFlank() | facts.MillsOver() | facts.MillsSurface():
                 own = claim.cutter.flute, CURVE_SHARE * claim.tolerance
             case _:
                 continue
