@@ -301,6 +301,39 @@ def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
 
 
 @dataclasses.dataclass(frozen=True)
+class _Work:
+    """A stand of a problem with the collision ``models`` of its setups. ``at`` is set to the operation that
+    is looked at or planned, ``tell`` says how far the plan is, ``executor`` runs independent work."""
+
+    problem: Problem
+    stand: Stand
+    models: Sequence[CellModel]
+    at: list[int]
+    tell: Progress
+    executor: Executor = SERIAL
+
+    def each(self, place: Place | None = None) -> Iterator[tuple[Setup, CellModel, int, Targets]]:
+        """Setup, model (at a ``place``, if there is one), number and targets of every operation."""
+        stand = self.stand
+        for setup, jobs, model in zip(stand.setups, stand.jobs, self.models, strict=True):
+            placed = model if place is None else model.with_stock(place.stock).with_bases(place.bases)
+            for index, job in zip(setup.operations, jobs, strict=True):
+                yield setup, placed, index, job
+
+    def scenes(self, place: Place) -> Iterator[tuple[int, Targets, Scene]]:
+        """Number, targets and scene of every operation at a place."""
+        settings = self.problem.settings
+        for setup, placed, index, job in self.each(place):
+            yield index, job, Scene.of(setup.cell, job.arms, place.stock, settings, placed, place.bases)
+
+    def search(self) -> Search:
+        """The search of a place for the block."""
+        stated = any(setup.stock.support for setup in self.stand.setups)
+        taken = "stock.support" if stated else "stock.hangs"
+        return self.stand.search(self.problem.settings, taken in self.problem.accept)
+
+
+@dataclasses.dataclass(frozen=True)
 class _Settled:
     """A place and the plans of all operations of one stand, with the seconds of its ``stages``, figures of
     the search for the place, None where there was none, and what is told of a former place."""
@@ -379,50 +412,40 @@ def _settle(
     """A place and the plans of all operations of one stand."""
     stages = {}
     lap = time.perf_counter()
-    models = stand.models()
+    work = _Work(problem, stand, stand.models(), at, tell, executor)
     stages["cell"] = time.perf_counter() - lap
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
-        if found := _inside(problem, stand, models):
+        if found := _inside(work):
             raise TandemError(found)
-        return _Settled(place, _plan(problem, stand, models, place, tell, at, executor, former), stages, None)
-    _require_home(problem, stand, models)
+        return _Settled(place, _plan(work, place, former), stages, None)
+    _require_home(work)
     tell("placement", 0.0)
     lap = time.perf_counter()
     notes: list[Issue] = []
     if former is not None:
         name, first = former.problem.name, stand.setups[0]
-        known = _search(problem, stand).judged(former.place(first), former.plan.bases, stand.each(models))
+        each = stand.each(work.models)
+        known = work.search().judged(former.place(first), former.plan.bases, each)
         stages["placement"] = time.perf_counter() - lap
         if isinstance(known, Place):
             try:
-                operations = _plan(problem, stand, models, known, tell, at, executor, former)
+                operations = _plan(work, known, former)
             except TandemError as error:
                 known = f"no plan there: {error.issues[0].message}"
             else:
                 note = place_told(name, first, known, former.score(first))
                 return _Settled(known, operations, stages, None, (note,))
         notes.append(place_told(name, first, known, None))
-    places, trace = _search(problem, stand).run(stand.each(models))
+    places, trace = work.search().run(stand.each(work.models))
     stages["placement"] = time.perf_counter() - lap
-    place, operations = _first_that_works(problem, stand, models, places, trace, tell, at, executor)
+    place, operations = _first_that_works(work, places, trace)
     return _Settled(place, operations, stages, trace.metrics(place.number), tuple(notes))
 
 
-def _search(problem: Problem, stand: Stand) -> Search:
-    stated = any(setup.stock.support for setup in stand.setups)
-    taken = "stock.support" if stated else "stock.hangs"
-    return stand.search(problem.settings, taken in problem.accept)
-
-
 def _plan(
-    problem: Problem,
-    stand: Stand,
-    models: Sequence[CellModel],
+    work: _Work,
     place: Place,
-    tell: Progress,
-    at: list[int],
-    executor: Executor,
     former: Former | None = None,
     fine: bool = True,
     paths: _Paths | None = None,
@@ -430,83 +453,72 @@ def _plan(
     """The plans of all operations of one stand, beginning with what a ``former`` plan had; where that leads
     to none, without it. ``fine`` as of :func:`plan_operation`; ``paths``: those that are known there."""
     out = []
-    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
-        placed = model.with_stock(place.stock).with_bases(place.bases)
-        for index, job in zip(setup.operations, jobs, strict=True):
-            tell("motion", index / len(problem.operations))
-            at[0] = index
-            planned = functools.partial(
-                plan_operation,
-                problem.operations[index].name,
-                setup.cell,
-                job,
-                problem.settings,
-                place.stock,
-                placed,
-                place.bases,
-                executor,
-                fine=fine,
-                known=None if paths is None else paths.get(index),
-            )
-            before = None if former is None else former.path(index)
-            try:
-                out.append(planned(before))
-            except TandemError as error:
-                if before is None:
-                    raise
-                made, why = planned(), f"it leads to none: {error.issues[0].message}"
-                told = before.told(why, {"in": False, "out": False}, made.metrics)
-                out.append(dataclasses.replace(made, issues=(*made.issues, told)))
+    problem = work.problem
+    for setup, placed, index, job in work.each(place):
+        work.tell("motion", index / len(problem.operations))
+        work.at[0] = index
+        planned = functools.partial(
+            plan_operation,
+            problem.operations[index].name,
+            setup.cell,
+            job,
+            problem.settings,
+            place.stock,
+            placed,
+            place.bases,
+            work.executor,
+            fine=fine,
+            known=None if paths is None else paths.get(index),
+        )
+        before = None if former is None else former.path(index)
+        try:
+            out.append(planned(before))
+        except TandemError as error:
+            if before is None:
+                raise
+            made, why = planned(), f"it leads to none: {error.issues[0].message}"
+            told = before.told(why, {"in": False, "out": False}, made.metrics)
+            out.append(dataclasses.replace(made, issues=(*made.issues, told)))
     return out
 
 
 def _first_that_works(
-    problem: Problem,
-    stand: Stand,
-    models: Sequence[CellModel],
-    places: Sequence[Place],
-    trace: Trace,
-    tell: Progress,
-    at: list[int],
-    executor: Executor,
+    work: _Work, places: Sequence[Place], trace: Trace
 ) -> tuple[Place, list[OperationPlan]]:
     """The first place at which all operations have plans: of those that need no fine samples, which take
     long, else of all. While every other one is planned, the path at the next is looked for ahead, perhaps in
     another process."""
-    tried, reasons, paths = _tried(problem, stand, models, places, trace, at)
+    tried, reasons, paths = _tried(work, places, trace)
     failed: dict[int, list[Issue]] = {}
-    first = stand.setups[0].operations[0]
+    first = work.stand.setups[0].operations[0]
     for fine in (False, True) if len(tried) > 1 else (True,):
         ahead: Iterator[tuple[Grid, Found] | None] | None = None
         for k, place in enumerate(tried):
             known, ahead = paths, ahead if k % 2 else None
             if ahead is not None:
-                found, at[0] = next(ahead), first
+                found, work.at[0] = next(ahead), first
                 if found is None:
                     continue
                 known = {first: found}
             elif not fine and k + 1 < len(tried):
-                ahead = _looked_ahead(problem, stand, models[0], tried[k + 1], executor)
+                ahead = _looked_ahead(work, tried[k + 1])
             if k in failed:
                 continue
             try:
-                return place, _plan(problem, stand, models, place, tell, at, executor, fine=fine, paths=known)
+                return place, _plan(work, place, fine=fine, paths=known)
             except NoCoarsePathError:
                 continue
             except TandemError as error:
                 failed[k] = list(error.issues)
     reasons = reasons or failed.get(0, [])
-    raise TandemError([_unplaced(trace, stand, tried, reasons), *reasons])
+    raise TandemError([_unplaced(trace, work.stand, tried, reasons), *reasons])
 
 
-def _looked_ahead(
-    problem: Problem, stand: Stand, model: CellModel, place: Place, executor: Executor
-) -> Iterator[tuple[Grid, Found] | None] | None:
+def _looked_ahead(work: _Work, place: Place) -> Iterator[tuple[Grid, Found] | None] | None:
     """Begins the search of a path for the first operation of a stand at a place, with the samples that are
     tried first; None where tools are aimed there, which the plan itself does."""
-    job, placed = stand.jobs[0][0], model.with_stock(place.stock).with_bases(place.bases)
-    scene = Scene.of(stand.setups[0].cell, job.arms, place.stock, problem.settings, placed, place.bases)
-    return executor.submit(_coarse_path, scene, job) if with_aims(scene, job) is job else None
+    _, job, scene = next(work.scenes(place))
+    return work.executor.submit(_coarse_path, scene, job) if with_aims(scene, job) is job else None
 
 
 def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[Grid, Found] | None]:
@@ -515,21 +527,20 @@ def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[Grid, Found] 
     yield None if isinstance(found, Blocked) or found.loose else (grid, found)
 
 
-def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
+def _require_home(work: _Work) -> None:
     """Bases that are inside of one another, and homes that are not free, wherever the stock is need no search
     for its place."""
     away = from_parts(np.eye(3), np.array([AWAY_M, AWAY_M, AWAY_M]))  # so is what it stands on
     out: list[Issue] = []
-    for setup, model in zip(stand.setups, models, strict=True):
+    for setup, model in zip(work.stand.setups, work.models, strict=True):
         found = [found for found in clearance.overlaps(model.with_stock(away)) if _between_bases(found)]
         searched = {f"{arm.name}/base_link" for arm in setup.cell.arms if arm.base_auto}
         out += [_overlap(setup, model, own) for own in found if not searched & set(own[:2])]
     if out:
         raise TandemError(list(aggregate(out)))
-    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
-        for job in jobs:
-            scene = Scene.of(setup.cell, job.arms, away, problem.settings, model.with_stock(away))
-            ways.require_home(scene, job)
+    for setup, model, _, job in work.each():
+        scene = Scene.of(setup.cell, job.arms, away, work.problem.settings, model.with_stock(away))
+        ways.require_home(scene, job)
 
 
 def _look(
@@ -537,29 +548,29 @@ def _look(
 ) -> tuple[Place | None, list[Issue]]:
     """A place at which every operation of a stand has a path, or the targets of a ``first`` look a posture;
     or why there is none."""
-    models = stand.models()
+    work = _Work(problem, stand, stand.models(), at, _silent)
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
-        reasons = _inside(problem, stand, models) or _no_path(problem, stand, models, place, at, first)
+        reasons = _inside(work) or _no_path(work, place, first)
         return (None if reasons else place), reasons
     try:
-        _require_home(problem, stand, models)
+        _require_home(work)
     except TandemError as error:
         return None, list(error.issues)
     if first is not None:
-        soon = first_place(problem, stand, models, at, first)
+        soon = first_place(problem, stand, work.models, at, first)
         first.placed = first.placed and soon is not None
         return soon, []
-    places, trace = _search(problem, stand).run(stand.each(models))
-    tried, reasons, paths = _tried(problem, stand, models, places, trace, at)
+    places, trace = work.search().run(stand.each(work.models))
+    tried, reasons, paths = _tried(work, places, trace)
     if paths is not None:
         return tried[0], []
     if len(tried) > 1:  # as the plan does: one that needs no fine samples, which take long
         for place in tried:
-            if _has_coarse_path(problem, stand, models, place):
+            if _has_coarse_path(work, place):
                 return place, []
     for place in tried:
-        found = _no_path(problem, stand, models, place, at)
+        found = _no_path(work, place)
         if not found:
             return place, []
         reasons = reasons or found
@@ -571,18 +582,20 @@ def first_place(
 ) -> Place | None:
     """One of the first places of a block at which the targets of a ``first`` look have postures; None where
     none of them will do. ``at`` is set to the operation that was looked at."""
-    for place in _search(problem, stand).soon(stand.each(models)):
-        if not _no_path(problem, stand, models, place, at, first):
+    work = _Work(problem, stand, models, at, _silent)
+    for place in work.search().soon(stand.each(models)):
+        if not _no_path(work, place, first):
             return place
     return None
 
 
-def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list[Issue]:
+def _inside(work: _Work) -> list[Issue]:
     """``motion.overlap`` for bodies that are inside of one another where all stands as it is stated, with
     homes that are not free; these say nothing as long as bases are inside of one another."""
     out: list[Issue] = []
     bases = False
-    for setup, model in zip(stand.setups, models, strict=True):
+    stand = work.stand
+    for setup, model in zip(stand.setups, work.models, strict=True):
         placed = model.with_stock(stand.place)
         found = clearance.overlaps(placed)
         bases = bases or any(map(_between_bases, found))
@@ -591,13 +604,12 @@ def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list
         return list(aggregate(out))
     if not out:
         return []
-    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
-        for job in jobs:
-            scene = Scene.of(setup.cell, job.arms, stand.place, problem.settings, model)
-            try:
-                ways.require_home(scene, job)
-            except TandemError as error:
-                out += error.issues
+    for setup, model, _, job in work.each():
+        scene = Scene.of(setup.cell, job.arms, stand.place, work.problem.settings, model)
+        try:
+            ways.require_home(scene, job)
+        except TandemError as error:
+            out += error.issues
     return list(aggregate(out))
 
 
@@ -661,62 +673,45 @@ def _in_mm(move: FloatArray) -> tuple[float, float, float]:
 
 
 def _no_path(
-    problem: Problem,
-    stand: Stand,
-    models: Sequence[CellModel],
-    place: Place,
-    at: list[int],
-    first: FirstLook | None = None,
-    paths: _Paths | None = None,
+    work: _Work, place: Place, first: FirstLook | None = None, paths: _Paths | None = None
 ) -> list[Issue]:
     """Why operations have no path, or targets of a ``first`` look no posture, or no free home; ``at`` is set
     to the first of them. ``paths`` gets those that are found."""
     out: list[Issue] = []
-    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
-        placed = model.with_stock(place.stock).with_bases(place.bases)
-        for index, job in zip(setup.operations, jobs, strict=True):
-            scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
-            at[0] = at[0] if out else index
-            try:
-                ways.require_home(scene, job)
-            except TandemError as error:  # as the plan does, which asks for this first
-                out += error.issues
-                continue
-            if first is not None:
-                out += first.faults(scene, job, index)
-                continue
-            grid, found = find_path(scene, job)
-            if isinstance(found, Blocked):
-                out += diagnosis.no_path(scene, job, grid, found)
-                continue
-            if paths is not None:
-                paths[index] = grid, found
+    for index, job, scene in work.scenes(place):
+        work.at[0] = work.at[0] if out else index
+        try:
+            ways.require_home(scene, job)
+        except TandemError as error:  # as the plan does, which asks for this first
+            out += error.issues
+            continue
+        if first is not None:
+            out += first.faults(scene, job, index)
+            continue
+        grid, found = find_path(scene, job)
+        if isinstance(found, Blocked):
+            out += diagnosis.no_path(scene, job, grid, found)
+            continue
+        if paths is not None:
+            paths[index] = grid, found
     return out
 
 
-def _has_coarse_path(problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place) -> bool:
+def _has_coarse_path(work: _Work, place: Place) -> bool:
     """Whether all operations of a stand have free homes and paths at a place, without fine samples."""
-    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
-        placed = model.with_stock(place.stock).with_bases(place.bases)
-        for job in jobs:
-            scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
-            try:
-                ways.require_home(scene, job)
-            except TandemError:
-                return False
-            _, found = find_path(scene, job, fine=False)
-            if isinstance(found, Blocked) or found.loose:
-                return False
+    for _, job, scene in work.scenes(place):
+        try:
+            ways.require_home(scene, job)
+        except TandemError:
+            return False
+        _, found = find_path(scene, job, fine=False)
+        if isinstance(found, Blocked) or found.loose:
+            return False
     return True
 
 
 def _tried(
-    problem: Problem,
-    stand: Stand,
-    models: Sequence[CellModel],
-    places: Sequence[Place],
-    trace: Trace,
-    at: list[int],
+    work: _Work, places: Sequence[Place], trace: Trace
 ) -> tuple[Sequence[Place], list[Issue], _Paths | None]:
     """The places to try. The search looks at few postures of a target: where it finds no place, the first of
     its freest that has a path after all is tried, with the paths of its operations; if none has, what is in
@@ -726,7 +721,7 @@ def _tried(
     reasons: list[Issue] = []
     for _, place in trace.freest:
         paths: _Paths = {}
-        found = _no_path(problem, stand, models, place, at, paths=paths)
+        found = _no_path(work, place, paths=paths)
         if not found:
             return [place], [], paths
         reasons = reasons or found

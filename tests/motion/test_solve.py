@@ -266,7 +266,7 @@ def test_every_other_place_is_looked_at_ahead_and_known_then(
             return iter([next(work(*arguments)) if coarse else None])
 
     def plan(*given: Any, fine: bool, paths: Any, **_: Any) -> Any:
-        tried.append(given[3])
+        tried.append(given[1])
         if len(tried) == 1:
             raise operation.NoCoarsePathError
         assert not fine
@@ -277,7 +277,8 @@ def test_every_other_place_is_looked_at_ahead_and_known_then(
     monkeypatch.setattr(solve_module, "_plan", plan)
     made = solve(job, [targets], executor=Recorder())
     stand = setup_groups(job, [targets])[0]
-    places, _ = solve_module._search(job, stand).run(stand.each(stand.models()))
+    work = solve_module._Work(job, stand, stand.models(), [0], lambda *_: None)
+    places, _ = work.search().run(stand.each(work.models))
     assert [place.number for place in tried] == [places[k].number for k in planned]
     assert len(begun) == (1 if coarse else 2)
     assert made.operations[0].metrics["clearance_mm"] >= 10.0
@@ -455,7 +456,7 @@ def test_homes_are_judged_without_what_the_block_will_stand_on(targets: Targets)
     job = problem(two_arms(1.8), targets, None)
     job = dataclasses.replace(job, stock=dataclasses.replace(job.stock, pedestal=PEDESTAL))
     (stand,) = setup_groups(job, [targets])
-    _require_home(job, stand, stand.models())
+    _require_home(solve_module._Work(job, stand, stand.models(), [0], lambda *_: None))
     assert stand.models()[0].stock.pedestal is PEDESTAL
 
 
