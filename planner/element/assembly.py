@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -73,11 +73,11 @@ class Assembly:
             count += len(vertices)
         return "\n".join(lines) + "\n"
 
-    def issues(self, give: float) -> tuple[Issue, ...]:
+    def issues(self, give: float) -> Iterator[Issue]:
         """``element.assembly`` for panels that no straight way in is free for."""
         closing = [step for step in self.steps if step.depth > give]
         if not closing:
-            return ()
+            return
         worst = max(closing, key=lambda step: step.depth)
         names = [f"{self.bodies[step.body].name} ({step.depth / MM:.1f} mm)" for step in closing]
         what = (
@@ -85,15 +85,13 @@ class Assembly:
             f"that was tried; along the best one others are in the way of them by: {', '.join(names)}"
         )
         hint = "part these panels in two or take as much off a side, and put them in where order says"
-        return (
-            Issue(
-                "element.assembly",
-                what,
-                Severity.WARNING,
-                field="panels",
-                **measurement(worst.depth / MM, give / MM, "mm"),
-                hint=hint,
-            ),
+        yield Issue(
+            "element.assembly",
+            what,
+            Severity.WARNING,
+            field="panels",
+            **measurement(worst.depth / MM, give / MM, "mm"),
+            hint=hint,
         )
 
 

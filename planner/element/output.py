@@ -9,7 +9,7 @@ import functools
 import io
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -334,11 +334,11 @@ def _data(
     }
 
 
-def _told(element: ElasticElement, names: tuple[str, ...], met: tuple[Joint, ...]) -> tuple[Issue, ...]:
+def _told(element: ElasticElement, names: tuple[str, ...], met: tuple[Joint, ...]) -> Iterator[Issue]:
     limit = element.wanted.joint_mm
     over = [joint for joint in met if _step(joint) > limit]
     if not over:
-        return ()
+        return
     worst = max(over, key=_step)
     a, b = (names[i] for i in worst.panels)
     what = (
@@ -352,21 +352,19 @@ def _told(element: ElasticElement, names: tuple[str, ...], met: tuple[Joint, ...
     hint = f"allow joint_mm: {np.ceil(_step(worst) * 100.0) / 100.0:.2f}"
     if 0.5 * limit >= LEAST_TOLERANCE_MM:  # a step is no larger than both panels are off the surface
         hint += f", or ask for tolerance_mm: {0.5 * limit:g}, which takes more panels and may take more cells"
-    return (
-        Issue(
-            "element.joint",
-            what,
-            Severity.WARNING,
-            field="panels.elastic.joint_mm",
-            **measurement(_step(worst), limit, "mm"),
-            hint=hint,
-        ),
+    yield Issue(
+        "element.joint",
+        what,
+        Severity.WARNING,
+        field="panels.elastic.joint_mm",
+        **measurement(_step(worst), limit, "mm"),
+        hint=hint,
     )
 
 
 def _unsteady(
     element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]
-) -> tuple[Issue, ...]:
+) -> Iterator[Issue]:
     """Panels that cannot be cut as they are, named before any foam is: those that the check refuses although
     nothing else covers their place; where it was not asked, those in whose shapes no wire is held safely."""
     own = tuple(zip(panels, names, strict=True))
@@ -380,10 +378,10 @@ def _unsteady(
         )
         what += "it too far)"
     if not found:
-        return ()
+        return
     hint = "give wires of more lengths or thinner ones, or smaller blocks; check these panels first"
     message = f"{len(found)} of {len(panels)} panels {what}: {', '.join(found)}"
-    return (Issue("element.held", message, Severity.WARNING, field="wires", hint=hint),)
+    yield Issue("element.held", message, Severity.WARNING, field="wires", hint=hint)
 
 
 def drawing(element: ElasticElement, panels: tuple[ElasticPanel, ...], names: tuple[str, ...]) -> str:

@@ -158,7 +158,7 @@ def _folder(
     if any(panel.piece.way_in is not None for panel in panels):  # lobes are no joints of two lines
         return finished(element, files, whole, blocks, up)
     whole["joints"] = list(_joints(panels, laid, stands, names, element.file.thickness_mm * MM))
-    return finished(element, files, whole, blocks, up, up.issues(GIVE))
+    return finished(element, files, whole, blocks, up, tuple(up.issues(GIVE)))
 
 
 def _joints(

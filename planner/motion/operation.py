@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -123,9 +123,8 @@ def plan_operation(
     better, samples, (targets, ticks, deviation) = driven.path, driven.samples, driven.timed
     pieces.clear()
     move_limits.require(scene, targets, samples, ticks.time)
-    slow = _slow(targets, ticks.time) if targets.run_up is None else []
     issues = [
-        *slow,
+        *(_slow(targets, ticks.time) if targets.run_up is None else ()),
         *move_limits.stop_notes(wanted, targets),
         *move_limits.short_move_notes(targets, better.values, ticks.time),
     ]
@@ -532,25 +531,21 @@ def _too_slow(targets: Targets, clock_time: FloatArray) -> IndexArray:
     return np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1
 
 
-def _slow(targets: Targets, clock_time: FloatArray) -> list[Issue]:
+def _slow(targets: Targets, clock_time: FloatArray) -> Iterator[Issue]:
     """Moves that the arms cannot make as fast as the process wants."""
-    out = []
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
     for i in _too_slow(targets, clock_time).tolist():
         got, least = float(speed[i - 1]) / MM, float(targets.feed_min[i]) / MM
-        out.append(
-            Issue(
-                "motion.feed_min",
-                f"the move to {targets.name(i)} runs at {got:.3g} mm/s, allowed is {least:.3g} mm/s at least",
-                severity=Severity.WARNING,
-                index=i,
-                target=targets.name(i),
-                time=float(clock_time[i]),
-                **measurement(got, least, "mm/s"),
-                hint="let the run-up lie outside the stock, lower feed_min, or raise speed_fraction",
-            )
+        yield Issue(
+            "motion.feed_min",
+            f"the move to {targets.name(i)} runs at {got:.3g} mm/s, allowed is {least:.3g} mm/s at least",
+            severity=Severity.WARNING,
+            index=i,
+            target=targets.name(i),
+            time=float(clock_time[i]),
+            **measurement(got, least, "mm/s"),
+            hint="let the run-up lie outside the stock, lower feed_min, or raise speed_fraction",
         )
-    return out
 
 
 def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:

@@ -82,7 +82,8 @@ def short(folder: Path, data: Any) -> list[Issue]:
     _, targets = s_curve(data["count"])
     travel = np.append(0.0, np.linalg.norm(np.diff(targets.pose["arm"][:, :3, 3], axis=0), axis=1))
     targets = dataclasses.replace(targets, travel=travel)
-    return move_limits.short_move_notes(targets, targets.neutral(), np.cumsum(travel) / (data["feed"] * MM))
+    time = np.cumsum(travel) / (data["feed"] * MM)
+    return list(move_limits.short_move_notes(targets, targets.neutral(), time))
 
 
 def placed(folder: Path, data: Any) -> list[Issue]:

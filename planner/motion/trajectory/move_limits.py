@@ -16,6 +16,7 @@ corners that nobody asked for (ABB: 50024, corner path failure; KUKA: approximat
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -385,11 +386,11 @@ def slowed(targets: Targets, least: FloatArray) -> FloatArray:
     )
 
 
-def short_move_notes(targets: Targets, values: FloatArray, time: FloatArray) -> list[Issue]:
+def short_move_notes(targets: Targets, values: FloatArray, time: FloatArray) -> Iterator[Issue]:
     """A warning about moves that stay shorter than controllers like (``motion.short_moves``)."""
     rows = np.flatnonzero(short(targets, values, time))
     if not len(rows):
-        return []
+        return
     took, way = np.diff(time, prepend=0.0)[rows], _ways(targets, values)[rows]
     first, name = int(rows[0]), targets.name(int(rows[0]))
     many = "1 move takes" if len(rows) == 1 else f"{len(rows)} moves take"
@@ -402,17 +403,15 @@ def short_move_notes(targets: Targets, values: FloatArray, time: FloatArray) -> 
     if min(least, way.min()) > LEAST_MOVE_WAY_MM:
         feed = np.floor(least / LEAST_MOVE_TIME_S * 100.0) / 100.0
         hint = f"lower the feed there to {feed:g} mm/s, or {hint}"
-    return [
-        Issue(
-            "motion.short_moves",
-            what,
-            Severity.WARNING,
-            index=first,
-            target=name,
-            **measurement(float(took.min()), LEAST_MOVE_TIME_S, "s"),
-            hint=hint,
-        )
-    ]
+    yield Issue(
+        "motion.short_moves",
+        what,
+        Severity.WARNING,
+        index=first,
+        target=name,
+        **measurement(float(took.min()), LEAST_MOVE_TIME_S, "s"),
+        hint=hint,
+    )
 
 
 class _Line:

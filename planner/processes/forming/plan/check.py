@@ -320,11 +320,10 @@ def _groups(points: FloatArray, radius: float) -> int:
     return int(connected_components(near, directed=False)[0])
 
 
-def unreached_issues(work: Work) -> list[Issue]:
+def unreached_issues(work: Work) -> Iterator[Issue]:
     """What the balls do not reach of the part (forming.unreached): a note, a warning where that is more of
     the walls than may be off, or an error beyond the user's ``unreached_mm``."""
     op = work.operation
-    out = []
     for one in {one.feature: one for one in work.passes}.values():
         radius = work.heads[work.former(one)].radius
         found = unreached(one, radius)
@@ -347,14 +346,11 @@ def unreached_issues(work: Work) -> list[Issue]:
             severity, what = Severity.ERROR, f"{what}; unreached_mm allows {limit:g} mm"
             hint = "take a smaller ball, round the part there by the ball's radius"
             hint += f", or allow {off + 0.01:.2f} mm"
-        out.append(
-            Issue(
-                "forming.unreached",
-                what,
-                severity,
-                field="operations.unreached_mm",
-                **measurement(off, limit, "mm"),
-                hint=hint,
-            )
+        yield Issue(
+            "forming.unreached",
+            what,
+            severity,
+            field="operations.unreached_mm",
+            **measurement(off, limit, "mm"),
+            hint=hint,
         )
-    return out

@@ -263,7 +263,7 @@ class FormingJob(Job[Forming]):
             raise TandemError(steps)
         if self.brief and (few := self._few(made)) is not None:
             return few
-        corners, dies = unreached_issues(made), list(of_die(made))
+        corners, dies = list(unreached_issues(made)), list(of_die(made))
         early = (one for one in (*dies, *corners) if has_errors([one]))
         refused = [*two_point.holder_issues(made), *shift_issues(made), *early]
         if refused:

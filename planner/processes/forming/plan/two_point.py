@@ -61,18 +61,18 @@ def die_issues(
     for one in passes:
         shift = np.array([0.0, 0.0, -one.side * thickness])
         far = TriangleMesh(one.vertices + shift, one.faces)
-        deep = _gouge(one, far, points, tolerance)
+        deep = list(_gouge(one, far, points, tolerance))
         out += deep
         if die.full and not deep:
             out += _away(one, far, mesh)
     return tuple(out)
 
 
-def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -> list[Issue]:
+def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -> Iterator[Issue]:
     inside = shapely.Polygon(one.region[:, :2]).buffer(DIE_SPACING)
     points = points[shapely.contains_xy(inside, points[:, 0], points[:, 1])]
     if not len(points):
-        return []
+        return
     depth = one.side * points[:, 2] - float((one.side * far.vertices[:, 2]).max())
     if depth.max() <= WRONG_PLACE_HEIGHT:
         distance, face = Nearness(far, DIE_SPACING).distance(points)
@@ -81,21 +81,19 @@ def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -
         depth = np.where(ahead > 0.0, distance, 0.0)
     k = int(np.argmax(depth))
     if depth[k] <= tolerance:
-        return []
+        return
     x, y, z = (float(value) / MM for value in points[k])
-    return [
-        Issue(
-            "forming.die_gouge",
-            f"feature {one.feature}: the die stands {depth[k] / MM:.2f} mm in the part at ({x:.1f}, {y:.1f}, "
-            f"{z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its unit, or lower it by so much: it "
-            "has to leave room for the sheet's thickness",
-            field="die",
-            **measurement(float(depth[k]) / MM, tolerance / MM, "mm"),
-        )
-    ]
+    yield Issue(
+        "forming.die_gouge",
+        f"feature {one.feature}: the die stands {depth[k] / MM:.2f} mm in the part at ({x:.1f}, {y:.1f}, "
+        f"{z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its unit, or lower it by so much: it "
+        "has to leave room for the sheet's thickness",
+        field="die",
+        **measurement(float(depth[k]) / MM, tolerance / MM, "mm"),
+    )
 
 
-def _away(one: Pass, far: TriangleMesh, mesh: TriangleMesh) -> list[Issue]:
+def _away(one: Pass, far: TriangleMesh, mesh: TriangleMesh) -> Iterator[Issue]:
     normals = face_normals(far)
     wall = np.arccos(np.clip(normals[:, 2], -1.0, 1.0)) > _FLATTEST_WALL
     pieces, _ = small_pieces(far.vertices[far.faces[wall]], DIE_SPACING, _MOST_POINTS)
@@ -104,22 +102,20 @@ def _away(one: Pass, far: TriangleMesh, mesh: TriangleMesh) -> list[Issue]:
     distance, _ = Nearness(mesh, DIE_SPACING).distance(points)
     share = float(area[distance > SUPPORT_DISTANCE].sum() / area.sum())
     if share <= UNSUPPORTED_SHARE:
-        return []
+        return
     k = int(np.argmax(distance))
     x, y, z = (float(value) / MM for value in points[k])
-    return [
-        Issue(
-            "forming.die_far",
-            f"feature {one.feature}: the full die is more than {SUPPORT_DISTANCE / MM:g} mm away from "
-            f"{100 * share:.0f} % "
-            f"of the walls, most {distance[k] / MM:.2f} mm at ({x:.1f}, {y:.1f}, {z:.1f}) mm; check its "
-            "unit and place, or state full: false for a partial die",
-            Severity.WARNING,
-            field="die",
-            **measurement(float(distance[k]) / MM, SUPPORT_DISTANCE / MM, "mm"),
-            accepted=False,
-        )
-    ]
+    yield Issue(
+        "forming.die_far",
+        f"feature {one.feature}: the full die is more than {SUPPORT_DISTANCE / MM:g} mm away from "
+        f"{100 * share:.0f} % "
+        f"of the walls, most {distance[k] / MM:.2f} mm at ({x:.1f}, {y:.1f}, {z:.1f}) mm; check its "
+        "unit and place, or state full: false for a partial die",
+        Severity.WARNING,
+        field="die",
+        **measurement(float(distance[k]) / MM, SUPPORT_DISTANCE / MM, "mm"),
+        accepted=False,
+    )
 
 
 PULSE_SECONDS: Final = 0.1

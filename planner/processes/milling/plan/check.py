@@ -268,8 +268,8 @@ def _too_large(one: Done, face: Face, section: Section, count: int, size: float)
         f"shape_tol_mm of {np.ceil(wanted / MM * 100.0) / 100.0:.2f} or more, or part the surface and mill "
     )
     what += "it in several operations"
-    measure = {"value": float(count), "limit": float(MOST_FACE_POINTS)}
-    return Issue("milling.too_large", what, field="operations.cuts", **measure)  # type: ignore[arg-type]
+    value, limit = float(count), float(MOST_FACE_POINTS)
+    return Issue("milling.too_large", what, field="operations.cuts", value=value, limit=limit)
 
 
 def _way(run: Run) -> tuple[FloatArray, FloatArray]:
@@ -295,7 +295,7 @@ def _gouge(
 ) -> Issue:
     at = ", ".join(f"{v / MM:.1f}" for v in points[k])
     target = _target(run, where - 1)
-    measure = {"value": float(-apart[k] / MM), "limit": allowed / MM, "unit": "mm"}
+    measure = measurement(float(-apart[k] / MM), allowed / MM, "mm")
     own = one.face is not None and one.face.name == face.name
     flank = isinstance(one.cut, FlankCut)
     along = run.path.axis[min(max(where - 1, 0), len(run.path) - 1)] if flank else None
@@ -307,7 +307,7 @@ def _gouge(
         what += f"{face.name} at {at} mm, "
         what += f"it would take {-apart[k] / MM:.2f} mm too much; the largest radius that fits "
         what += f"there is {fits / MM:.2f} mm"
-        return Issue("milling.tool_radius", what, target=target, **measure)  # type: ignore[arg-type]
+        return Issue("milling.tool_radius", what, target=target, **measure)
     what = f"{run.name}: the {section.name} goes {-apart[k] / MM:.2f} mm into {face.name} at "
     what += f"{at} mm (target {target}); "
     what += f"allowed: {allowed / MM:.2f} mm; "
@@ -320,7 +320,7 @@ def _gouge(
         what += "that is on its way in or out: give a lead_mm that ends before (0: down and up at the wall)"
     else:
         what += "take a thinner cutter, another axis, or other leads"
-    return Issue("milling.gouge", what, target=target, **measure)  # type: ignore[arg-type]
+    return Issue("milling.gouge", what, target=target, **measure)
 
 
 def _target(run: Run, row: int) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -157,7 +158,7 @@ class Passes:
 
 def passes(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter, box: FloatArray) -> Passes:
     """Roughing passes and the finishing pass. Raises ``TandemError`` with codes ``milling.*``."""
-    told = check(op, cut, ruled, cutter)
+    told = tuple(check(op, cut, ruled, cutter))
     if has_errors(told):
         raise TandemError(told)
     below = under(cut, cutter)
@@ -220,11 +221,10 @@ def placed(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> Placed:
     return Placed(np.concatenate(lows), np.concatenate(highs), off)
 
 
-def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issue]:
+def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> Iterator[Issue]:
     """What is wrong with guides, flute and corners for this cutter."""
     field = f"operations.cuts.{cut.flank}"
     pieces = _pieces(op, cut, ruled, cutter.radius)
-    out: list[Issue] = []
     lengths = [
         sum(_length(side) for side in sides) for sides in zip(*((s.low, s.high) for s in pieces), strict=True)
     ]
@@ -239,10 +239,8 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issu
         what += (
             f"{np.floor(LENGTH_RATIO * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or part the surface"
         )
-        out.append(
-            Issue(
-                "milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=LENGTH_RATIO
-            )
+        yield Issue(
+            "milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=LENGTH_RATIO
         )
     high = max(float(np.linalg.norm(strip.high - strip.low, axis=1).max()) for strip in pieces)
     need = high + under(cut, cutter)
@@ -252,24 +250,20 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issu
         if need > cutter.overhang:
             what += " and overhang"
         what += ", or part the wall into surfaces one above the other"
-        out.append(
-            Issue("milling.flute", what, field=field, value=need / MM, limit=cutter.flute / MM, unit="mm")
-        )
+        yield Issue("milling.flute", what, field=field, value=need / MM, limit=cutter.flute / MM, unit="mm")
     if need > cutter.overhang:
         what = (
             f"flank {cut.flank}: the tip is {need / MM:.1f} mm below the wall's top, and the holder begins "
         )
         what += f"{cutter.overhang / MM:.1f} mm behind it; take an overhang of {_up(need):.2f} mm or more"
-        out.append(
-            Issue("milling.holder", what, field=field, value=need / MM, limit=cutter.overhang / MM, unit="mm")
+        yield Issue(
+            "milling.holder", what, field=field, value=need / MM, limit=cutter.overhang / MM, unit="mm"
         )
     if cut.guides == "surface":
-        out += _corners(cut, pieces, ruled.closed, cutter.radius, field)
-    return out
+        yield from _corners(cut, pieces, ruled.closed, cutter.radius, field)
 
 
-def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, radius: float, field: str) -> list[Issue]:
-    out = []
+def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, radius: float, field: str) -> Iterator[Issue]:
     around = [*pieces, pieces[0]] if closed and not pieces[0].ring else pieces
     for before, after in itertools.pairwise(around):
         turn = float(np.arcsin(np.clip(after.tangents()[0][0] @ before.normals()[0][-1], -1.0, 1.0)))
@@ -281,15 +275,12 @@ def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, radius: float, fi
             what += f"where a cutter of {radius / MM:g} mm radius leaves a fillet of its own, "
             what += f"{stays / MM:.2f} mm off the corner; round both guides there by "
             what += f"{_up(ROUNDING_FACTOR * radius):.2f} mm or more"
-            out.append(
-                Issue(
-                    "milling.corner",
-                    what,
-                    field=field,
-                    **measurement(turn / DEG, INNER_CORNER_TURN / DEG, "deg"),
-                )
+            yield Issue(
+                "milling.corner",
+                what,
+                field=field,
+                **measurement(turn / DEG, INNER_CORNER_TURN / DEG, "deg"),
             )
-    return out
 
 
 def _pieces(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> list[Strip]:

@@ -10,7 +10,7 @@ it would be.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -116,65 +116,58 @@ def _name(route: Route, index: int) -> str:
     return f"{label} at {p * 1e3:.0f} mm along the sweep" if np.isfinite(p) else label
 
 
-def _ends(op: ElasticWire, route: Route, figures: Figures) -> list[Issue]:
+def _ends(op: ElasticWire, route: Route, figures: Figures) -> Iterator[Issue]:
     worst = int(np.argmin(figures.end_clear))
     short = op.margin_mm * MM - float(figures.end_clear[worst])
     if short <= 1e-6:
-        return []
+        return
     need = op.chosen.length_mm + 2.0 * short / MM
-    return [
-        Issue(
-            "wire.too_short",
-            f"{op.name}: the wire of {op.chosen.length_mm:g} mm leaves its ends only "
-            f"{figures.end_clear[worst] * 1e3:.1f} mm outside the block ({_name(route, worst)}), "
-            f"{op.margin_mm:g} mm are wanted",
-            field="wire.length_mm",
-            index=worst,
-            **measurement(op.chosen.length_mm, float(np.ceil(need)), "mm"),
-            hint=f"use a wire of {np.ceil(need / 5.0) * 5.0:.0f} mm or more, or a narrower block",
-        )
-    ]
+    yield Issue(
+        "wire.too_short",
+        f"{op.name}: the wire of {op.chosen.length_mm:g} mm leaves its ends only "
+        f"{figures.end_clear[worst] * 1e3:.1f} mm outside the block ({_name(route, worst)}), "
+        f"{op.margin_mm:g} mm are wanted",
+        field="wire.length_mm",
+        index=worst,
+        **measurement(op.chosen.length_mm, float(np.ceil(need)), "mm"),
+        hint=f"use a wire of {np.ceil(need / 5.0) * 5.0:.0f} mm or more, or a narrower block",
+    )
 
 
-def _taut(op: ElasticWire, route: Route) -> list[Issue]:
+def _taut(op: ElasticWire, route: Route) -> Iterator[Issue]:
     """A wire that is all but straight is torn or slack where the arms are off by nothing."""
     shape = route.wires.shapes(3)
     apart = np.linalg.norm(shape.end[:, :2] - shape.start[:, :2], axis=1) / route.wires.length
     worst = int(np.argmax(apart))
     if apart[worst] <= _TAUT_SHARE:
-        return []
-    return [
-        Issue(
-            "wire.end_error",
-            f"{op.name}: the wire of {op.chosen.length_mm:g} mm is all but straight ({_name(route, worst)}): "
-            f"its ends are {apart[worst] * op.chosen.length_mm:.3f} mm apart, "
-            f"{_TAUT_SHARE * op.chosen.length_mm:.2f} mm are allowed",
-            index=worst,
-        )
-    ]
+        return
+    yield Issue(
+        "wire.end_error",
+        f"{op.name}: the wire of {op.chosen.length_mm:g} mm is all but straight ({_name(route, worst)}): "
+        f"its ends are {apart[worst] * op.chosen.length_mm:.3f} mm apart, "
+        f"{_TAUT_SHARE * op.chosen.length_mm:.2f} mm are allowed",
+        index=worst,
+    )
 
 
-def _bending(wire: Wire, route: Route, figures: Figures) -> list[Issue]:
+def _bending(wire: Wire, route: Route, figures: Figures) -> Iterator[Issue]:
     worst = int(np.argmax(figures.curvature))
     if figures.curvature[worst] <= wire.max_curvature:
-        return []
+        return
     thin = wire.thickness * wire.max_curvature / figures.curvature[worst]
-    return [
-        Issue(
-            "wire.curvature",
-            f"the wire is bent to a radius of {1e3 / figures.curvature[worst]:.0f} mm "
-            f"({_name(route, worst)}), "
-            f"{wire.material.title} of {wire.thickness * 1e3:g} mm stays elastic down to "
-            f"{wire.min_bend_radius * 1e3:.0f} mm",
-            index=worst,
-            **measurement(float(1e3 / figures.curvature[worst]), float(wire.min_bend_radius * 1e3), "mm"),
-            hint=f"use a wire no thicker than {thin * 1e3:.2f} mm, a stronger material, or flatter sections",
-        )
-    ]
+    yield Issue(
+        "wire.curvature",
+        f"the wire is bent to a radius of {1e3 / figures.curvature[worst]:.0f} mm "
+        f"({_name(route, worst)}), "
+        f"{wire.material.title} of {wire.thickness * 1e3:g} mm stays elastic down to "
+        f"{wire.min_bend_radius * 1e3:.0f} mm",
+        index=worst,
+        **measurement(float(1e3 / figures.curvature[worst]), float(wire.min_bend_radius * 1e3), "mm"),
+        hint=f"use a wire no thicker than {thin * 1e3:.2f} mm, a stronger material, or flatter sections",
+    )
 
 
-def _stability(route: Route, figures: Figures) -> list[Issue]:
-    issues = []
+def _stability(route: Route, figures: Figures) -> Iterator[Issue]:
     for margin, where, remedy in (
         (
             figures.in_plane,
@@ -187,19 +180,16 @@ def _stability(route: Route, figures: Figures) -> list[Issue]:
         if margin[worst] > _THIN_MARGIN:
             continue
         stable = margin[worst] > STABLE
-        issues.append(
-            Issue(
-                "wire.unstable",
-                f"the planned wire shape is {'close to snapping' if stable else 'not stable'} {where} "
-                f"({_name(route, worst)}): margin {margin[worst]:.3f}, 1 is a free wire and 0 snaps",
-                Severity.WARNING if stable else Severity.ERROR,
-                index=worst,
-                value=float(margin[worst]),
-                limit=_THIN_MARGIN if stable else STABLE,
-                hint=remedy,
-            )
+        yield Issue(
+            "wire.unstable",
+            f"the planned wire shape is {'close to snapping' if stable else 'not stable'} {where} "
+            f"({_name(route, worst)}): margin {margin[worst]:.3f}, 1 is a free wire and 0 snaps",
+            Severity.WARNING if stable else Severity.ERROR,
+            index=worst,
+            value=float(margin[worst]),
+            limit=_THIN_MARGIN if stable else STABLE,
+            hint=remedy,
         )
-    return issues
 
 
 def shares(op: ElasticWire, route: Route, cut: Cut, figures: Figures) -> tuple[float, float, float]:
@@ -220,7 +210,7 @@ def shares(op: ElasticWire, route: Route, cut: Cut, figures: Figures) -> tuple[f
     return first, second, third
 
 
-def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Figures) -> list[Issue]:
+def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Figures) -> Iterator[Issue]:
     """Shape with weight, then with end errors too: the first that breaks the tolerance is named."""
     tol, share = op.shape_tol_mm * MM, shares(op, route, cut, figures)
     rows = np.nonzero(np.array(route.segment) == Segment("cut", cut.face.name))[0]
@@ -235,32 +225,29 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
         bends = "makes it fall" if falls else f"bends it by up to {worst * 1e3:.2f} mm"
         bends += " out of its plane"
         strip = "" if falls else f", about {thick * 1e3:.1f} mm thick"
-        return [
-            Issue(
-                "wire.weight",
-                f"{what} {reached}, {op.shape_tol_mm:g} mm are wanted: the wire's weight {bends}",
-                **measurement(min(share[1], 1.0) * 1e3, op.shape_tol_mm, "mm"),
-                hint=f"use a strip across the sweep{strip}, a shorter wire, upright "
-                "sections (sections: parallel), or a block that stands so that the sections are upright",
-            )
-        ]
+        yield Issue(
+            "wire.weight",
+            f"{what} {reached}, {op.shape_tol_mm:g} mm are wanted: the wire's weight {bends}",
+            **measurement(min(share[1], 1.0) * 1e3, op.shape_tol_mm, "mm"),
+            hint=f"use a strip across the sweep{strip}, a shorter wire, upright "
+            "sections (sections: parallel), or a block that stands so that the sections are upright",
+        )
+        return
     if share[2] > tol:
         worst = float(figures.sensitivity[rows].max())
         feels = f"{worst * 0.1:.2f} mm" if worst < 0.01 * _NO_LIMIT else "without limit"
         reached = f"{share[2] * 1e3:.2f} mm" if share[2] < 1.0 else "no bound"
-        return [
-            Issue(
-                "wire.end_error",
-                f"{what} {reached} with ends off by {op.end_error_mm:g} mm, {op.shape_tol_mm:g} mm are "
-                "wanted: "
-                f"the wire moves {feels} for 0.1 mm at its ends",
-                **measurement(min(share[2], 1.0) * 1e3, op.shape_tol_mm, "mm"),
-            )
-        ]
-    return []
+        yield Issue(
+            "wire.end_error",
+            f"{what} {reached} with ends off by {op.end_error_mm:g} mm, {op.shape_tol_mm:g} mm are "
+            "wanted: "
+            f"the wire moves {feels} for 0.1 mm at its ends",
+            **measurement(min(share[2], 1.0) * 1e3, op.shape_tol_mm, "mm"),
+        )
+        return
 
 
-def check_shape(op: ElasticWire, cut: Cut) -> list[Issue]:
+def check_shape(op: ElasticWire, cut: Cut) -> Iterator[Issue]:
     """Whether the fitted wires meet the face: to know before anything is laid out."""
     has = np.nonzero(cut.sections.length > 0.0)[0]
     return misfit(op, cut.face.name, cut.sections.take(has), cut.fit.residual[has])
@@ -272,26 +259,24 @@ def misfit(
     sections: SectionSet,
     residual: FloatArray,
     factor: float = 1.0,
-) -> list[Issue]:
+) -> Iterator[Issue]:
     """``wire.shape`` if residuals (K, m) [m] of the sections are beyond ``factor`` times the
     tolerance."""
     got = sections.within(np.abs(residual), op.share)
     if got <= factor * op.shape_tol_mm * MM:
-        return []
+        return
     worst = int(np.argmax(np.abs(residual).max(axis=1)))
     off = float(np.abs(residual[worst]).max())
-    return [
-        Issue(
-            "wire.shape",
-            f"{op.name}: {op.chosen} swept along {op.way} meets {op.share * 100:g} % of the "
-            f"{name} face within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is "
-            f"at {sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
-            **measurement(got * 1e3, op.shape_tol_mm, "mm"),
-        )
-    ]
+    yield Issue(
+        "wire.shape",
+        f"{op.name}: {op.chosen} swept along {op.way} meets {op.share * 100:g} % of the "
+        f"{name} face within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is "
+        f"at {sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
+        **measurement(got * 1e3, op.shape_tol_mm, "mm"),
+    )
 
 
-def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> list[Issue]:
+def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> Iterator[Issue]:
     """In the air the wire stays clear of the block."""
     air = np.array([segment.kind != "cut" for segment in route.segment])
     wires = route.wires
@@ -299,18 +284,16 @@ def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> lis
     near = np.where(air, near, np.inf)
     worst = int(np.argmin(near))
     if near[worst] >= 0.5 * op.margin_mm * MM:
-        return []
-    return [
-        Issue(
-            "wire.touches",
-            f"{op.name}: in segment {route.segment[worst]} the wire comes within {near[worst] * 1e3:.1f} "
-            "mm of the block, "
-            f"{0.5 * op.margin_mm:g} mm are kept",
-            index=worst,
-            **measurement(float(near[worst] * 1e3), 0.5 * op.margin_mm, "mm"),
-            hint="use runs: one, a larger margin_mm, or faces that leave the block straight",
-        )
-    ]
+        return
+    yield Issue(
+        "wire.touches",
+        f"{op.name}: in segment {route.segment[worst]} the wire comes within {near[worst] * 1e3:.1f} "
+        "mm of the block, "
+        f"{0.5 * op.margin_mm:g} mm are kept",
+        index=worst,
+        **measurement(float(near[worst] * 1e3), 0.5 * op.margin_mm, "mm"),
+        hint="use runs: one, a larger margin_mm, or faces that leave the block straight",
+    )
 
 
 SPEED_PLACES = 160
@@ -371,12 +354,11 @@ class Passed:
     speed: FloatArray
 
 
-def check_heat(op: ElasticWire, passed: list[Passed], curve: KerfCurve) -> list[Issue]:
+def check_heat(op: ElasticWire, passed: list[Passed], curve: KerfCurve) -> Iterator[Issue]:
     """``kerf.too_hot`` and ``kerf.too_cold`` where the slot of an operation with a power leaves the range."""
     if op.power_w is None:
-        return []
+        return
     low, high = op.kerf_range_mm
-    out = []
     for one in passed:
         width = curve.at(one.speed) / MM
         for code, k, limit, does in (
@@ -391,8 +373,7 @@ def check_heat(op: ElasticWire, passed: list[Passed], curve: KerfCurve) -> list[
                     f"{width[k]:.2f} mm and {does}; allowed are {low:g} to {high:g} mm"
                 )
                 value = float(width[k])
-                out.append(Issue(code, what, field="operations.power_w", value=value, limit=limit, unit="mm"))
-    return out
+                yield Issue(code, what, field="operations.power_w", value=value, limit=limit, unit="mm")
 
 
 def check_driven(
@@ -403,7 +384,7 @@ def check_driven(
     way: FloatArray,
     clock: FloatArray,
     spare: float,
-) -> list[Issue]:
+) -> Iterator[Issue]:
     """``kerf.too_hot`` where the arms drive the wire so much slower than its feed that the slot leaves its
     range, or more of the face than may be is off by over ``spare`` [m].
 
@@ -421,7 +402,7 @@ def check_driven(
     high = op.kerf_range_mm[1] * MM
     limit = np.minimum(high, width - 2.0 * (more - spare))
     if width.max() <= high and (more > spare).mean() <= 1.0 - op.share:
-        return []
+        return
     k = int(np.argmax(width - limit))
     place = ", ".join(f"{value:.1f}" for value in vertices[k] / MM)
     held = np.floor(100.0 * FEED_SHARE * op.feed_mm_s * slow.min()) / 100.0
@@ -433,8 +414,8 @@ def check_driven(
         f"[{place}] mm, which is as fast as they may; it melts {width[k] / MM:.2f} mm there, allowed are "
         f"{limit[k] / MM:.2f} mm"
     )
-    measure = {"value": float(width[k] / MM), "limit": float(limit[k] / MM), "unit": "mm"}
-    return [Issue("kerf.too_hot", what, field="operations.feed_mm_s", hint=hint, **measure)]  # type: ignore[arg-type]
+    measure = measurement(float(width[k] / MM), float(limit[k] / MM), "mm")
+    yield Issue("kerf.too_hot", what, field="operations.feed_mm_s", hint=hint, **measure)
 
 
 def advice(
@@ -483,4 +464,4 @@ def _faults(
     except TandemError:  # a power that melts the wire, and the like
         return True
     moved = [dataclasses.replace(one, speed=faster * one.speed) for one in passed]
-    return bool(check_heat(changed, moved, curve))
+    return any(True for _ in check_heat(changed, moved, curve))

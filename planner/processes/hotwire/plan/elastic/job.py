@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -273,7 +273,7 @@ class ElasticJob(Job[ElasticWire]):
         if any(True for cut in cuts for _ in check_shape(op, cut)):
             return None
         route, off, miss = refine(_route(op, cuts, setup), [cut.face for cut in cuts], *_drive(op, setup))
-        if _driven(op, route, off, miss):
+        if any(True for _ in _driven(op, route, off, miss)):
             return None
         return _targets(op, _wire(op), setup, (), route, [], {})
 
@@ -367,14 +367,13 @@ def _refuse_heat(op: ElasticWire, cuts: list[Cut], wanted: Mapping[str, Mesh], s
 
     def tried(changed: ElasticWire) -> list[Issue]:
         try:
-            return checks.check_heat(
-                changed, _passed(changed, _cuts(changed, wanted, setup), wanted, setup), _kerf(changed, setup)
-            )
+            passed = _passed(changed, _cuts(changed, wanted, setup), wanted, setup)
+            return list(checks.check_heat(changed, passed, _kerf(changed, setup)))
         except TandemError as error:
             return list(error.issues)
 
     here = _passed(op, cuts, wanted, setup)
-    found = checks.check_heat(op, here, _kerf(op, setup))
+    found = list(checks.check_heat(op, here, _kerf(op, setup)))
     if found:
         hint = checks.advice(op, here, lambda own: _kerf(own, setup), tried)
         raise TandemError([dataclasses.replace(issue, hint=hint) for issue in found])
@@ -441,7 +440,7 @@ def _cut(
     load = (np.swapaxes(spine.frames(p)[:, :3, :3], 1, 2) @ gravity)[:, :2]
     reach = float(np.abs(spine.direction[:2]) @ np.abs(box[:, :2]).max(axis=0)) + 2.0 * op.margin_mm * MM
     first = fit_first(sections, load, op.chosen.length_mm * MM)
-    hopeless = misfit(op, name, sections.take(first.rows), first.fit.residual, _HOPELESS)
+    hopeless = list(misfit(op, name, sections.take(first.rows), first.fit.residual, _HOPELESS))
     if hopeless:
         raise TandemError(hopeless)
     best: FamilyFit | None = None
@@ -472,25 +471,23 @@ def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
         )
 
 
-def _driven(op: ElasticWire, route: Route, off: FloatArray, miss: FloatArray) -> list[Issue]:
+def _driven(op: ElasticWire, route: Route, off: FloatArray, miss: FloatArray) -> Iterator[Issue]:
     """Half-way between targets, driven by its ends, the wire must be where it is wanted."""
     lost = np.array([not m < 1e-6 for m in miss], dtype=np.bool_)
     cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
     far = cutting & (off > 0.5 * op.shape_tol_mm * MM)
     if not (lost | far).any():
-        return []
+        return
     first = int(np.nonzero(lost | far)[0][0])
-    return [
-        Issue(
-            "wire.between_targets",
-            f"{op.name}: between targets {first - 1} and {first} ({route.segment[first]}) the driven wire "
-            "is off by "
-            f"{off[first] * 1e3:.2f} mm or has no equilibrium, although targets were added",
-            index=first,
-            **measurement(float(off[first] * 1e3), 0.5 * op.shape_tol_mm, "mm"),
-            hint="use a smaller step_mm or smoother faces",
-        )
-    ]
+    yield Issue(
+        "wire.between_targets",
+        f"{op.name}: between targets {first - 1} and {first} ({route.segment[first]}) the driven wire "
+        "is off by "
+        f"{off[first] * 1e3:.2f} mm or has no equilibrium, although targets were added",
+        index=first,
+        **measurement(float(off[first] * 1e3), 0.5 * op.shape_tol_mm, "mm"),
+        hint="use a smaller step_mm or smoother faces",
+    )
 
 
 def _targets(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -186,21 +187,19 @@ def bow_of(op: Straight, setup: Setup) -> Bow:
     return tool
 
 
-def _arms(op: Straight, setup: Setup) -> list[Issue]:
+def _arms(op: Straight, setup: Setup) -> Iterator[Issue]:
     """The operation has the holder as its second arm exactly where the block is held."""
     holder = setup.stock.held_by
     wanted = (op.arms[0],) if holder is None else (op.arms[0], holder)
     if op.arms == wanted and op.arms[0] != holder:
-        return []
+        return
     how = "stands" if holder is None else f"is held by arm {holder}"
     need = "the arm with the bow alone" if holder is None else f"the arm with the bow, then {holder}"
-    return [
-        Issue(
-            "bow.arms",
-            f"{op.name}: arms are {', '.join(op.arms)}, but the block {how} in this setup; name {need}",
-            field="operations.arms",
-        )
-    ]
+    yield Issue(
+        "bow.arms",
+        f"{op.name}: arms are {', '.join(op.arms)}, but the block {how} in this setup; name {need}",
+        field="operations.arms",
+    )
 
 
 def exhibits(op: Straight, bow: Bow, cuts: list[Cut]) -> dict[str, Any]:

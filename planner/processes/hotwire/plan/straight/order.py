@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -344,7 +344,7 @@ def _listed(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
     for cut in op.cuts:
         if isinstance(cut, TrimCut):
             for side in cut.trim:
-                fault = _no_oversize(op, setup.stock, side)
+                fault = list(_no_oversize(op, setup.stock, side))
                 issues += fault
                 if not fault:
                     out.append(Wanted(f"trim_{side}", _side(op, setup, side, cut), cut))
@@ -376,41 +376,37 @@ def _missing(op: Straight, what: str, ruled: tuple[Ruled, ...]) -> Issue:
     )
 
 
-def _along_the_wire(op: Straight, ruled: Ruled, cut: SurfaceCut) -> list[Issue]:
+def _along_the_wire(op: Straight, ruled: Ruled, cut: SurfaceCut) -> Iterator[Issue]:
     """A lead that is given must take the wire across itself, at every ruling."""
     if isinstance(cut.lead, str):
-        return []
+        return
     rulings = ruled.end - ruled.start
     rulings = rulings / np.maximum(np.linalg.norm(rulings, axis=1, keepdims=True), 1e-12)
     lead = np.array(cut.lead) / np.linalg.norm(cut.lead)
     along = float(np.abs(rulings @ lead).max())
     if along <= LEAD_ALONG:
-        return []
+        return
     angle, least = (np.degrees(np.arccos(min(value, 1.0))) for value in (along, LEAD_ALONG))
-    return [
-        Issue(
-            "straight.lead",
-            f"{op.name}: lead {list(cut.lead)} of {cut.surface} is {angle:.0f} degrees off the wire; "
-            f"{least:.0f} at least are wanted: give a direction across the wire, or auto",
-            field=cut.surface,
-        )
-    ]
+    yield Issue(
+        "straight.lead",
+        f"{op.name}: lead {list(cut.lead)} of {cut.surface} is {angle:.0f} degrees off the wire; "
+        f"{least:.0f} at least are wanted: give a direction across the wire, or auto",
+        field=cut.surface,
+    )
 
 
-def _no_oversize(op: Straight, stock: Stock, side: str) -> list[Issue]:
+def _no_oversize(op: Straight, stock: Stock, side: str) -> Iterator[Issue]:
     axis, end = BLOCK_SIDES[side]
     over = float(stock.oversize[end, axis])
     if over >= LEAST_OVERSIZE:
-        return []
-    return [
-        Issue(
-            "straight.trim",
-            f"{op.name}: side {side} is to be trimmed, but the block stands out of the datum block by "
-            f"{over / MM:g} mm there; give stock.oversize_mm, or leave the side out",
-            field="stock.oversize_mm",
-            **measurement(over / MM, LEAST_OVERSIZE / MM, "mm"),
-        )
-    ]
+        return
+    yield Issue(
+        "straight.trim",
+        f"{op.name}: side {side} is to be trimmed, but the block stands out of the datum block by "
+        f"{over / MM:g} mm there; give stock.oversize_mm, or leave the side out",
+        field="stock.oversize_mm",
+        **measurement(over / MM, LEAST_OVERSIZE / MM, "mm"),
+    )
 
 
 def _side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> Ruled:

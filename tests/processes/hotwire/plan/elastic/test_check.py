@@ -56,7 +56,7 @@ def test_what_the_wire_does_in_the_air_and_between_targets_is_checked() -> None:
     (taut,) = check._taut(op, dataclasses.replace(route, wires=straight))
     assert taut.code == "wire.end_error"
     off, miss = np.zeros(len(route.wires)), np.zeros(len(route.wires))
-    assert job._driven(op, route, off, miss) == []
+    assert list(job._driven(op, route, off, miss)) == []
     miss[30] = np.inf
     assert [i.code for i in job._driven(op, route, off, miss)] == ["wire.between_targets"]
 
@@ -82,7 +82,7 @@ def test_a_shape_near_snapping_is_a_warning_and_one_that_snaps_an_error(
     steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
     cut = job._cut(op, "front", job._mesh(part.front), 90.0, steel.load * block.gravity, block.box)
     route = path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
-    issues = check._stability(route, figures(*values))
+    issues = list(check._stability(route, figures(*values)))
     assert [i.code for i in issues] == ["wire.unstable"] * len(want)
     assert [i.severity for i in issues] == want
 
