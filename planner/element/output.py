@@ -373,10 +373,8 @@ def _unsteady(
         what = "are refused by the check of their problems, and no other division avoids them"
     else:
         found = [name for panel, name in own if not panel.held]
-        what = (
-            "have shapes in which none of the wires is held safely (it may snap, or errors of its ends move "
-        )
-        what += "it too far)"
+        what = "have shapes in which none of the wires is held safely (it may snap, or errors of its ends "
+        what += "move it too far)"
     if not found:
         return
     hint = "give wires of more lengths or thinner ones, or smaller blocks; check these panels first"

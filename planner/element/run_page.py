@@ -99,10 +99,8 @@ def cut_section(found: ElementRun) -> tuple[Grid | Paragraph, ...]:
         seen = charts.deviation_map(points, off, tolerance, f"{side}: off the panels as written", WIRE_FACE)
         blocks.append(dataclasses.replace(seen, note="in the frame of the element; mm"))
         blocks.append(Figure(f"{side}: share of vertices", charts.histogram(off, tolerance)))
-    note = (
-        "Simulated by the proof from the programs, against the faces as they were written, which are off the "
-    )
-    note += f"surface by up to {_worst_written(found):.2f} mm themselves. Before foam effects."
+    note = "Simulated by the proof from the programs, against the faces as they were written, which are off "
+    note += f"the surface by up to {_worst_written(found):.2f} mm themselves. Before foam effects."
     return Grid(tuple(blocks), "two"), Paragraph(note, "soft")
 
 
@@ -119,10 +117,8 @@ def _sides(found: ElementRun) -> tuple[Grid | Paragraph, ...]:
     )
     rows = [(name, round(far / MM, 3)) for far, name in worst[:_MOST_NAMED]]
     spread = Figure("Sides: share of vertices", charts.histogram(off, MOST_AT_95))
-    note = (
-        "Simulated by the proof from the programs, against the sides as they were written; the band is what "
-    )
-    note += f"joints may have, {MOST_AT_95 / MM:g} mm. Before foam effects."
+    note = "Simulated by the proof from the programs, against the sides as they were written; the band is "
+    note += f"what joints may have, {MOST_AT_95 / MM:g} mm. Before foam effects."
     return Grid((spread, table(("panel, the worst first", "farthest off mm"), rows)), "two"), Paragraph(
         note, "soft"
     )
@@ -137,12 +133,9 @@ def joints_section(found: ElementRun) -> tuple[Paragraph | Grid | Folded, ...]:
     if not found.measured:
         return (Paragraph("No two neighbours are proven, so no joint is measured."),)
     limit = found.joints[0].limit / MM
-    words = (
-        f"Step across the surface and gap in the joint of the simulated parts; allowed are {limit:g} mm at "
-        f"95 % of a joint's points and {MOST / MM:g} mm at each. {len(found.measured)} of "
-        f"{len(found.joints)} "
-    )
-    words += "joints have both panels proven."
+    words = f"Step across the surface and gap in the joint of the simulated parts; allowed are {limit:g} mm "
+    words += f"at 95 % of a joint's points and {MOST / MM:g} mm at each. {len(found.measured)} of "
+    words += f"{len(found.joints)} joints have both panels proven."
     if not any(panel.sides for panel in found.panels):
         words += " Sides are not in it where another operation cuts them."
     rows = [

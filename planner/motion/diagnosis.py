@@ -160,10 +160,8 @@ def _wound_up(scene: Scene, targets: Targets, wound: Wound, index: int) -> Issue
     robot, margin = scene.chains[wound.arm].robot, scene.settings.joint_margin
     low, high = (float(end[wound.joint]) / DEG for end in (robot.lower + margin, robot.upper - margin))
     name, span = targets.name(index), f"from {wound.low / DEG:.0f} to {wound.high / DEG:.0f} deg"
-    what = (
-        f"axis {wound.joint + 1} of arm {wound.arm} would have to turn {span} over the job, as its tool and "
-    )
-    what += f"its wrist turn; allowed: {low:.0f} to {high:.0f} deg, which ends at target {name}"
+    what = f"axis {wound.joint + 1} of arm {wound.arm} would have to turn {span} over the job, as its tool "
+    what += f"and its wrist turn; allowed: {low:.0f} to {high:.0f} deg, which ends at target {name}"
     if wound.jumps:
         what = f"axis {wound.joint + 1} of arm {wound.arm} would have to turn on past its limits, and jumps "
         what += f"{span} instead, at target {name}; allowed: {low:.0f} to {high:.0f} deg"

@@ -413,13 +413,10 @@ def _too_soft(
     if not over[worst] > 0.0:
         return []
     limit = MOST_PART_OF_WAY * way[worst]
-    what = (
-        f"{plan.name}: at {plan.targets.name(worst)} {arm} gives way by {shift[worst] / MM:.2f} mm under a "
-    )
-    what += (
-        f"force that turns with the feed over {way[worst] / MM:.2f} mm of way; allowed: {limit / MM:.2f} mm"
-    )
-    what += "; take a stiffer arm, less force or a longer cut, or state the force in the frame of the tool"
+    what = f"{plan.name}: at {plan.targets.name(worst)} {arm} gives way by {shift[worst] / MM:.2f} mm under "
+    what += f"a force that turns with the feed over {way[worst] / MM:.2f} mm of way; allowed: "
+    what += f"{limit / MM:.2f} mm; take a stiffer arm, less force or a longer cut, or state the force in the "
+    what += "frame of the tool"
     return [_at(RANGE_CODE, what, plan, arm, worst, (shift[worst], limit))]
 
 
@@ -438,10 +435,9 @@ def _off_table(
     k = int(np.argmax(past))
     if past[k] > ROUNDING:
         index, end = int(rows[k]), knots[0] if at[k] < knots[0] else knots[-1]
-        what = (
-            f"{plan.name}: {arm} works at z {at[k] / MM:.2f} mm of the stock, at {plan.targets.name(index)}; "
-        )
-        what += f"its table of forces goes from {knots[0] / MM:g} to {knots[-1] / MM:g} mm; add rows"
+        what = f"{plan.name}: {arm} works at z {at[k] / MM:.2f} mm of the stock, at "
+        what += f"{plan.targets.name(index)}; its table of forces goes from {knots[0] / MM:g} to "
+        what += f"{knots[-1] / MM:g} mm; add rows"
         out.append(_at(RANGE_CODE, what, plan, arm, index, (at[k], end)))
     slope = np.diff(own.force, axis=0) / np.diff(knots)[:, None]
     steep = dataclasses.replace(own, force=slope[[int(np.argmax(np.linalg.norm(slope, axis=1)))]])

@@ -635,10 +635,8 @@ def _table_advice(problem: Problem, targets: Sequence[Targets]) -> str:
         return _tilt_advice(problem, targets, table, at)
     if stands is None or not np.abs(stands).max() > ANGLE_NOISE:
         return ""
-    what = (
-        "put the block on a turntable under its middle, at which each operation is reached from a station of "
-    )
-    what += f"its own (cell: turntable: {{centre_mm: [{at}], range_deg: [-180, 180], unit: ..., "
+    what = "put the block on a turntable under its middle, at which each operation is reached from a station "
+    what += f"of its own (cell: turntable: {{centre_mm: [{at}], range_deg: [-180, 180], unit: ..., "
     return what + "speed_deg_s: ..., plate: {diameter_mm: ..., height_mm: ...}})"
 
 

@@ -269,10 +269,9 @@ def turntable_faults(problem: Problem) -> list[Issue]:
         )
     for number, operation in enumerate(problem.operations if table.tilt is not None else ()):
         if not any_lean(operation):
-            what = (
-                f"operation {operation.name}: {operation.process} counts on how its block lies to gravity, "
-            )
-            what += "which a positioner tilts; milling and targets take a tilted block; take a turntable "
+            what = f"operation {operation.name}: {operation.process} counts on how its block lies to "
+            what += "gravity, which a positioner tilts; milling and targets take a tilted block; take a "
+            what += "turntable "
             told(f"{what}(cell: turntable) for the others", f"operations.{number}")
     for number, change in problem.changes.items() if table.tilt is not None else ():
         if set(change.stock) & {"place", "support"}:
@@ -343,13 +342,10 @@ def _fast(problem: Problem, table: Turntable) -> list[Issue]:
         if LEAST_SHARE * axis.speed * rim <= BLIND_SPEED:
             continue
         most = np.floor(BLIND_SPEED / (LEAST_SHARE * rim) / DEG)
-        what = (
-            f"what {axis.label} takes along reaches {rim / MM:.0f} mm from its axis, and a KUKA controller "
-        )
-        what += f"turns it at {LEAST_SHARE * axis.speed / DEG:g} deg/s at least, one percent of its own, "
-        what += (
-            f"faster there than {BLIND_SPEED / MM:g} mm/s; make its own speed {most:.0f} deg/s or less in "
-        )
+        what = f"what {axis.label} takes along reaches {rim / MM:.0f} mm from its axis, and a KUKA "
+        what += f"controller turns it at {LEAST_SHARE * axis.speed / DEG:g} deg/s at least, one percent of "
+        what += f"its own, faster there than {BLIND_SPEED / MM:g} mm/s; make its own speed {most:.0f} deg/s "
+        what += "or less in "
         field = f"cell.{table.kind}.{'tilt.' if tilts else ''}speed_deg_s"
         out.append(Issue("problem.turntable", f"{what}the machine data", field=field))
     return out

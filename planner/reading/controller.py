@@ -268,10 +268,8 @@ def _check_ros(spec: ControllerFile, arms: Sequence[str]) -> None:
         what = f"a joint_prefix is stated, but language is {spec.language}; set language: ros or take it out"
         raise TandemError(Issue("problem.field", what, field="controller.joint_prefix"))
     if spec.language == "ros" and spec.sync == "handshake":
-        what = (
-            "language: ros with sync: handshake; one controller moves all joints there, on one clock: take "
-        )
-        what += "sync out, or two arms with languages of their own"
+        what = "language: ros with sync: handshake; one controller moves all joints there, on one clock: "
+        what += "take sync out, or two arms with languages of their own"
         raise TandemError(Issue("problem.field", what, field="controller.sync"))
 
 

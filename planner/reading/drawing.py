@@ -87,10 +87,8 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
     name, metres = INSUNITS.get(drawing.header.get("$INSUNITS", 0), ("", unit))
     if abs(metres - unit) > 1e-9:
         said = next(short for short, size in LENGTH_UNITS.items() if size == unit)
-        what = (
-            f"{path.name} says that its lengths are in {name} ($INSUNITS), the problem reads them in {said}; "
-        )
-        what += f"see its sides: write unit: {name}, or save it with its own unit (_UNITS)"
+        what = f"{path.name} says that its lengths are in {name} ($INSUNITS), the problem reads them in "
+        what += f"{said}; see its sides: write unit: {name}, or save it with its own unit (_UNITS)"
         notes.append(Issue("part.dxf_unit", what, Severity.WARNING, file=str(path), field=field))
     try:
         _require_size(curves, ezpath, unit, path, field)

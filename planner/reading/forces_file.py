@@ -177,10 +177,8 @@ def _together(issues: list[Issue]) -> list[Issue]:
 
 
 def _header(file: str, header: list[str], asked: Sequence[Asked]) -> list[Issue]:
-    wanted = (
-        f"the columns are {', '.join(COLUMNS)} and, where the tool was lifted, {LIFT}; where a point is: "
-    )
-    wanted += f"{' and '.join(PLACE)}; of several passes: {PASS}"
+    wanted = f"the columns are {', '.join(COLUMNS)} and, where the tool was lifted, {LIFT}; where a point "
+    wanted += f"is: {' and '.join(PLACE)}; of several passes: {PASS}"
     needed = [name for name in COLUMNS if name != "point" or _points_known(asked)]
     needed += [PASS] if len(asked) > 1 else []
     needed += PLACE if any(name in header for name in PLACE) else ()

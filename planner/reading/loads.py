@@ -84,10 +84,9 @@ def faults(problem: Problem) -> Iterator[Issue]:
             for i in own[1:]:
                 if not _alike(stated[own[0]], stated[i]):
                     names = [problem.operations[k].name for k in (own[0], i)]
-                    what = (
-                        f"operations.{i}.forces: {' and '.join(names)} are of one setup and state different "
-                    )
-                    what += f"forces on {arm.name}; state the same, or give the second a setup of its own"
+                    what = f"operations.{i}.forces: {' and '.join(names)} are of one setup and state "
+                    what += f"different forces on {arm.name}; state the same, or give the second a setup of "
+                    what += "its own"
                     yield _fault(what, f"operations.{i}.forces")
 
 

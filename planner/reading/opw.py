@@ -97,10 +97,8 @@ def own_chain(text: str, base: str, tip: str | None) -> UrdfChain:
             raise
         what, hint = found
         first, *rest = error.issues
-        said = (
-            f"{first.message.rpartition('; ')[0]}; fixed, it leaves {what}: {hint}; of a parallel rod give "
-        )
-        said += "the serial arm and its coupled_deg"
+        said = f"{first.message.rpartition('; ')[0]}; fixed, it leaves {what}: {hint}; of a parallel rod "
+        said += "give the serial arm and its coupled_deg"
         raise TandemError([dataclasses.replace(first, message=said), *rest]) from None
 
 

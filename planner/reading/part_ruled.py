@@ -250,10 +250,8 @@ def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[
         )
     start, end, reverse = aligned(start, end, spec.match)
     if reverse:
-        what = (
-            f"surface {spec.name}: its end guide runs against its start guide and was run the other way, so "
-        )
-        what += "that rulings do not cross; turn its points around in the file"
+        what = f"surface {spec.name}: its end guide runs against its start guide and was run the other way, "
+        what += "so that rulings do not cross; turn its points around in the file"
         notes.append(Issue("part.guide_turned", what, Severity.NOTE, field=f"{field}.end"))
     ruled = join(spec.name, start, end, spec.match, spec.hole)
     if spec.closed:

@@ -131,20 +131,16 @@ def under(
     kind = "track" if track is not None else "gantry"
     if arm.data.family not in AXES_WRITTEN:
         what = f"arm {arm.name} is of {arm.data.family}; tracks and gantries are written for "
-        what += (
-            f"{' and '.join(AXES_WRITTEN)} controllers alone; take the {kind} out and move the base, or take "
-        )
-        what += "such an arm"
+        what += f"{' and '.join(AXES_WRITTEN)} controllers alone; take the {kind} out and move the base, or "
+        what += "take such an arm"
         wrong.append(Issue("problem.track", what, field=f"{place}.{stated[0][0]}", arm=arm.name))
     if track is not None and track.follow is not None and arm.sag is not None:
         what = f"arm {arm.name} goes along with its track and has its sag compensated; both together are not "
         what += "written yet; take follow or compensate_sag out"
         wrong.append(Issue("problem.track", what, field=f"{place}.track.follow", arm=arm.name))
     if track is not None and track.follow is not None and track.carries:
-        what = (
-            f"what the track of arm {arm.name} carries is looked at where it stands, and it goes along; both "
-        )
-        what += "together are not written yet; take follow or carries out"
+        what = f"what the track of arm {arm.name} carries is looked at where it stands, and it goes along; "
+        what += "both together are not written yet; take follow or carries out"
         wrong.append(Issue("problem.track", what, field=f"{place}.track.carries", arm=arm.name))
     if arm.base_auto:
         what = f"arm {arm.name} stands on a {kind}, whose place is not searched; state its base"
@@ -223,10 +219,8 @@ def _alike(axes: Sequence[GantryAxisFile], arm: Arm) -> list[tuple[str, str, str
             out.append(("problem.duplicate_name", f"axes.{k}.name", what))
         if columns[k] in columns[:k]:
             letter = "abcdef"[columns[k]]
-            what = (
-                f"external_axis: it is {columns[k] + 1} (eax_{letter}, E{columns[k] + 1}), as that of axis "
-            )
-            what += f"{axes[columns.index(columns[k])].name}; each axis has its own"
+            what = f"external_axis: it is {columns[k] + 1} (eax_{letter}, E{columns[k] + 1}), as that of "
+            what += f"axis {axes[columns.index(columns[k])].name}; each axis has its own"
             out.append(("problem.field", f"axes.{k}.external_axis", what))
         if arm.data.family != "KUKA":
             continue

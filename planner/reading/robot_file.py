@@ -284,10 +284,8 @@ def _shapes(
             out[one.link].append(_hull(one, file))
     if lost:
         what = f"{len(lost)} meshes of the URDF are not there: {', '.join(sorted(set(lost))[:7])}"
-        hint = (
-            "lay them beside the URDF as its package has them, or say under meshes where each of them lies: "
-        )
-        hint += "tandem robots add URDF --meshes FOLDER writes that"
+        hint = "lay them beside the URDF as its package has them, or say under meshes where each of them "
+        hint += "lies: tandem robots add URDF --meshes FOLDER writes that"
         issues.append(Issue("robot.bodies", what, field="urdf", hint=hint))
     if unread:
         what = (

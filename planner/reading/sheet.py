@@ -347,11 +347,9 @@ def _require_tolerance(
         return
     most = DEPTH_SHARE * deep / MM
     if stated is not None:
-        what = (
-            f"part.sheet_mesh.tolerance_mm: got {tolerance / MM:g}, allowed is up to {most:.3g} for a part "
-        )
-        what += f"that is {deep / MM:.3g} mm deep (a fifth of that); "
-        what += "state a smaller one, or auto, or check the unit"
+        what = f"part.sheet_mesh.tolerance_mm: got {tolerance / MM:g}, allowed is up to {most:.3g} for a "
+        what += f"part that is {deep / MM:.3g} mm deep (a fifth of that); state a smaller one, or auto, or "
+        what += "check the unit"
         hint = "state how far the vertices are off the wanted face, or auto, which finds it"
     else:
         what = f"{path}: the vertices are off any smooth face by {tolerance / MM:.3g} mm, allowed is up to "

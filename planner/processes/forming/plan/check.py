@@ -104,10 +104,8 @@ def flat_issues(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[
         left = 0.5 * float(size[apart - radius > ridge[flat][owner]].sum() / area.sum())
         if left <= most:
             continue
-        what = (
-            f"pass {one.name}: loops {op.stepdown_mm:g} mm apart in height leave {100 * left:.0f} % of its "
-        )
-        what += f"walls between them, which are flatter than {FLATTEST_WALL / DEG:.3g} deg; allowed is "
+        what = f"pass {one.name}: loops {op.stepdown_mm:g} mm apart in height leave {100 * left:.0f} % of "
+        what += f"its walls between them, which are flatter than {FLATTEST_WALL / DEG:.3g} deg; allowed is "
         what += f"{100 * most:.3g} %"
         hint = "state scallop_mm: 0.01 in place of stepdown_mm: loops are then nearer where walls are flat"
         field, value, limit = "operations.stepdown_mm", 100 * left, 100 * most

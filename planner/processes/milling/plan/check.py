@@ -258,16 +258,10 @@ def _too_large(one: Done, face: Face, section: Section, count: int, size: float)
     fewer = 1.05 * size * float(np.sqrt(count / MOST_FACE_POINTS))
     narrow = size <= max(EDGE_SPACING * one.tolerance, FINEST_SPACING)
     wanted = fewer / EDGE_SPACING if narrow else fewer**2 / (8.0 * section.radius * SPACING_SHARE)
-    what = (
-        f"{one.runs[0].name}: beside the {section.name}, {face.name} would have to be looked at in {count} "
-    )
-    what += (
-        f"places, {size / MM:.2f} mm apart, so that no gouge is missed; allowed: {MOST_FACE_POINTS}: take a "
-    )
-    what += (
-        f"shape_tol_mm of {np.ceil(wanted / MM * 100.0) / 100.0:.2f} or more, or part the surface and mill "
-    )
-    what += "it in several operations"
+    what = f"{one.runs[0].name}: beside the {section.name}, {face.name} would have to be looked at in "
+    what += f"{count} places, {size / MM:.2f} mm apart, so that no gouge is missed; allowed: "
+    what += f"{MOST_FACE_POINTS}: take a shape_tol_mm of {np.ceil(wanted / MM * 100.0) / 100.0:.2f} or more, "
+    what += "or part the surface and mill it in several operations"
     value, limit = float(count), float(MOST_FACE_POINTS)
     return Issue("milling.too_large", what, field="operations.cuts", value=value, limit=limit)
 

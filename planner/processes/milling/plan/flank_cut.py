@@ -232,13 +232,11 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> Iterator[
     if ratio > LENGTH_RATIO:
         long = int(lengths[1] > lengths[0])
         names = ("start", "end") if cut.tip == "start" else ("end", "start")
-        what = f"flank {cut.flank}: its guides are {lengths[0] / MM:.0f} and "
-        what += f"{lengths[1] / MM:.0f} mm long, so that "
-        what += f"one end of the flank moves {ratio:.1f} times as fast as the other; the feed "
-        what += f"holds for the faster. Where the slower burns or rubs, shorten the guide {names[long]} to "
-        what += (
-            f"{np.floor(LENGTH_RATIO * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or part the surface"
-        )
+        what = f"flank {cut.flank}: its guides are {lengths[0] / MM:.0f} and {lengths[1] / MM:.0f} mm long, "
+        what += f"so that one end of the flank moves {ratio:.1f} times as fast as the other; the feed holds "
+        what += f"for the faster. Where the slower burns or rubs, shorten the guide {names[long]} to "
+        what += f"{np.floor(LENGTH_RATIO * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or part the "
+        what += "surface"
         yield Issue(
             "milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=LENGTH_RATIO
         )
@@ -252,10 +250,9 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> Iterator[
         what += ", or part the wall into surfaces one above the other"
         yield Issue("milling.flute", what, field=field, value=need / MM, limit=cutter.flute / MM, unit="mm")
     if need > cutter.overhang:
-        what = (
-            f"flank {cut.flank}: the tip is {need / MM:.1f} mm below the wall's top, and the holder begins "
-        )
-        what += f"{cutter.overhang / MM:.1f} mm behind it; take an overhang of {_up(need):.2f} mm or more"
+        what = f"flank {cut.flank}: the tip is {need / MM:.1f} mm below the wall's top, and the holder "
+        what += f"begins {cutter.overhang / MM:.1f} mm behind it; take an overhang of {_up(need):.2f} mm or "
+        what += "more"
         yield Issue(
             "milling.holder", what, field=field, value=need / MM, limit=cutter.overhang / MM, unit="mm"
         )

@@ -355,10 +355,8 @@ def _front(part: Part | None) -> Mesh:
             hint += "flip: true unless it stands there), else turn the part over in the block (in_stock)"
         else:
             at = ", ".join(f"{v / MM:.1f}" for v in corners[worst].mean(axis=0))
-            what = (
-                f"the part's front leans {lean:.1f} degrees off the block's top at {at} mm, where it cannot "
-            )
-            what += f"be milled from above; allowed: {most:.1f}"
+            what = f"the part's front leans {lean:.1f} degrees off the block's top at {at} mm, where it "
+            what += f"cannot be milled from above; allowed: {most:.1f}"
             hint = "turn the part in the block (in_stock: rpy_deg), or leave that place out of the front"
         raise TandemError(
             Issue("milling.front", what, field="part.front", **measurement(lean, most, "deg"), hint=hint)

@@ -57,10 +57,8 @@ def curve_issues(
             k = int(np.argmax(out)) if out.max() > 0.0 else _nearest(one, free)
             x, y, _ = one.laid.point[k] / MM
             beyond = float(out.max()) + side if out.max() > 0.0 else -near
-            what = (
-                f"{name}: at ({x:.1f}, {y:.1f}) mm the curve, with slot and ways in, is {beyond / MM:.1f} mm "
-            )
-            what += "beyond the opening of the clamp"
+            what = f"{name}: at ({x:.1f}, {y:.1f}) mm the curve, with slot and ways in, is {beyond / MM:.1f} "
+            what += "mm beyond the opening of the clamp"
             hint = "move the curve inwards, or take a larger opening"
             yield Issue("trim.off_part", what, value=beyond / MM, limit=0.0, unit="mm", hint=hint)
     for one, other in itertools.combinations([w for w in wanted if w.area.is_valid], 2):
@@ -76,10 +74,8 @@ def curve_issues(
         if between < 2.0 * tolerance:
             near = shapely.get_coordinates(shapely.shortest_line(one.area.exterior, other.area.exterior))
             x, y = near.mean(axis=0) / MM
-            what = (
-                f"{names} come within {between / MM:.2f} mm of each other, at ({x:.1f}, {y:.1f}) mm; as both "
-            )
-            what += f"edges may be off by shape_tol_mm, allowed are {2.0 * tolerance / MM:g} mm or more"
+            what = f"{names} come within {between / MM:.2f} mm of each other, at ({x:.1f}, {y:.1f}) mm; as "
+            what += f"both edges may be off by shape_tol_mm, allowed are {2.0 * tolerance / MM:g} mm or more"
             hint = "move them apart, join them to one curve, or take a smaller shape_tol_mm"
             value, limit = between / MM, 2.0 * tolerance / MM
             yield Issue("trim.crosses", what, value=value, limit=limit, unit="mm", hint=hint)
@@ -210,10 +206,8 @@ def wall_issue(slot: Slot, tips: FloatArray, off: FloatArray, op: Trim, tool: Cu
         return
     x, y, z = tips[k] / MM
     what = f"{slot.outline}: at ({x:.1f}, {y:.1f}, {z:.1f}) mm the {_named(tool)}, square to the sheet, "
-    what += (
-        f"{'stands in it by' if off[k] < 0.0 else 'is off its wall by'} {abs(off[k]) / MM:.2f} mm; wanted: "
-    )
-    what += f"{op.clear_mm:g} mm"
+    what += f"{'stands in it by' if off[k] < 0.0 else 'is off its wall by'} {abs(off[k]) / MM:.2f} mm; "
+    what += f"wanted: {op.clear_mm:g} mm"
     hint = "move the curve away from the wall, take a longer flute or a slimmer holder"
     if tool.blade is not None:
         hint = "move the curve away from the wall, take a longer blade_mm or a slimmer body"

@@ -234,10 +234,8 @@ def _above(slot: Slot, op: Trim, tool: Cutting, near: tuple[Laid, float]) -> Flo
     off = apart(slot.point[: slot.first + 1], curve.point) - 0.5 * tool.kerf
     last = int(np.argmax(off < low)) - 1
     if last < 1 and tool.lift != 0.0 and tool.ramp:
-        what = (
-            f"{slot.outline}: the way in of {op.lead.length_mm:g} mm is too short for the tool to come down "
-        )
-        what += f"on it before it is {low / MM:.2f} mm off the curve"
+        what = f"{slot.outline}: the way in of {op.lead.length_mm:g} mm is too short for the tool to come "
+        what += f"down on it before it is {low / MM:.2f} mm off the curve"
         hint = f"take a longer lead.length_mm (about {1.3 * low / MM:.1f}), or a smaller shape_tol_mm"
         value, limit = op.lead.length_mm, low / MM
         raise TandemError(Issue("trim.lead", what, value=value, limit=limit, unit="mm", hint=hint))

@@ -74,10 +74,8 @@ def slots(op: Trim, one: Wanted, others: list[Wanted], face: Face, kerf: float) 
     gap = one.spec.joint_mm * MM + kerf if one.spec.joints else 0.0
     if length / count <= gap + 2.0 * kerf:
         most = int(length / (gap + 2.0 * kerf))
-        what = (
-            f"{one.spec.name}: {count} micro-joints of {one.spec.joint_mm:g} mm leave nothing to cut between "
-        )
-        what += f"them; at most {most} fit on {length / MM:.1f} mm"
+        what = f"{one.spec.name}: {count} micro-joints of {one.spec.joint_mm:g} mm leave nothing to cut "
+        what += f"between them; at most {most} fit on {length / MM:.1f} mm"
         raise TandemError(Issue("trim.joints", what, value=count, limit=most, hint=f"take joints: {most}"))
     ways = unit(np.concatenate([out, out[:1]]))
     best: tuple[float, list[Slot]] | None = None

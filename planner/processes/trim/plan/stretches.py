@@ -295,10 +295,8 @@ def _stretch(
         end = ring.at(np.array([span.high]), span)[0] / MM
         what = f"{name}: the blade cuts {over / MM:.2f} mm past a corner into the part, about "
         what += f"({end[0]:.1f}, {end[1]:.1f}) mm; allowed: {by.overcut_mm:g} mm"
-        hint = (
-            f"allow overcut_mm: {np.ceil(10.0 * over / MM) / 10.0:g}, or take a blade that is narrower, or "
-        )
-        hint += f"a below_mm of its ground_mm ({blade.ground / MM:g}), where it is as wide at both faces"
+        hint = f"allow overcut_mm: {np.ceil(10.0 * over / MM) / 10.0:g}, or take a blade that is narrower, "
+        hint += f"or a below_mm of its ground_mm ({blade.ground / MM:g}), where it is as wide at both faces"
         value, limit = over / MM, by.overcut_mm
         raise TandemError(Issue("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint))
     slot = Slot(name, one.spec.name, point, normal, 0, len(point) - 1, heading, over)
@@ -359,10 +357,8 @@ def _require_beside(
         x, y, _ = places[k] / MM
         what = f"{slot.name}: at ({x:.1f}, {y:.1f}) mm the blade, {(own.end + near) / MM:.1f} mm wide in the "
         what += f"sheet, is {off[k] / MM:.2f} mm off its curve; allowed: {most / MM:.2f} mm"
-        hint = (
-            "take a narrower blade, or less below_mm, draw a wider bend, or a sharp corner, at which it is "
-        )
-        hint += f"lifted, or take shape_tol_mm: {np.ceil(200.0 * off[k] / MM) / 100.0:g}"
+        hint = "take a narrower blade, or less below_mm, draw a wider bend, or a sharp corner, at which it "
+        hint += f"is lifted, or take shape_tol_mm: {np.ceil(200.0 * off[k] / MM) / 100.0:g}"
         value, limit = float(off[k]) / MM, most / MM
         raise TandemError(Issue("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint))
 

@@ -139,10 +139,8 @@ def _outer_border(vertices: FloatArray, faces: IntArray, rim: IntArray) -> IntAr
         vertex = int(np.argmax(starts > 1))
         at = vertices[vertex]
         if _joined(faces, vertex):
-            what = (
-                f"holes of the part, or one and its edge, meet in a point at {where(at)}; a sheet is formed "
-            )
-            what += "whole, so close them and cut them afterwards"
+            what = f"holes of the part, or one and its edge, meet in a point at {where(at)}; a sheet is "
+            what += "formed whole, so close them and cut them afterwards"
             raise TandemError(Issue("forming.hole", what, field="part"))
         raise TandemError(
             Issue(

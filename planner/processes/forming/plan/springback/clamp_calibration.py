@@ -307,9 +307,8 @@ def unclear(found: Calibration, plate: Plate, readings: Readings, assumed: bool)
     some = [name for k, name in enumerate(_NAMES) if np.count_nonzero(tied[k]) > 1]
     if some:
         what = f"{', '.join(some[:-1])} and {some[-1]} go together: others of their intervals at once read "
-        what += (
-            "nearly the same; measure the thickness to a hundredth, press lightly and hard, and take more "
-        )
+        what += "nearly the same; measure the thickness to a hundredth, press lightly and hard, and take "
+        what += "more "
         out.append(f"{what}readings")
     return tuple(Issue("forming.clamp_unclear", what, Severity.WARNING) for what in out)
 

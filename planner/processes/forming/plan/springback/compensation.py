@@ -62,10 +62,8 @@ def require_mode(work: Work) -> None:
     require_forecast(work)
     op = work.operation
     if op.mode == "dpif_p":
-        what = (
-            f"{op.name}: mode dpif_p: its second tool supports the feature's border, which has to stay where "
-        )
-        what += "it is, and compensation moves both tools alike; allowed are spif, dsif, dpif_l, heat"
+        what = f"{op.name}: mode dpif_p: its second tool supports the feature's border, which has to stay "
+        what += "where it is, and compensation moves both tools alike; allowed are spif, dsif, dpif_l, heat"
         hint = "take another mode, or form a test piece and measure it"
         raise TandemError(Issue("forming.springback_mode", what, field="mode", hint=hint))
 
