@@ -206,7 +206,7 @@ def divide_elastic(made: Search, judge: Judge | None = None, held: bool = False)
             for w, h, x, y in np.argwhere(every < misfit).tolist():
                 struck[w, h, x, y] = float(every[w, h, x, y])
         if division is None and not struck:
-            raise TandemError(_refusals(made, fits.table, misfit))
+            raise TandemError(list(_refusals(made, fits.table, misfit)))
         if division is None:
             least = min((w + 1) * (h + 1) for w, h, _, _ in struck)
             for place in [p for p in struck if (p[0] + 1) * (p[1] + 1) == least]:
@@ -486,7 +486,7 @@ def _panel(
     )
 
 
-def _refusals(made: Search, found: Table, misfit: FloatArray) -> list[Issue]:
+def _refusals(made: Search, found: Table, misfit: FloatArray) -> Iterator[Issue]:
     """Why cells can be no panel even alone: one issue for each cause, of the cell that is farthest from its
     limit."""
     rules, (nx, ny) = made.rules, made.cells
@@ -495,7 +495,6 @@ def _refusals(made: Search, found: Table, misfit: FloatArray) -> list[Issue]:
     alone = ~np.isfinite(misfit[0, 0])
     short = alone & ~np.isfinite(least)
     far = alone & ~short & (least > rules.tolerance + 0.5 * MISFIT_STEP)
-    issues = []
     if short.any():
         needs = np.stack([_longest(made, along) for along in range(2)]).min(axis=0)
         at = np.unravel_index(int(np.argmax(np.where(short, needs, -1.0))), short.shape)
@@ -506,9 +505,7 @@ def _refusals(made: Search, found: Table, misfit: FloatArray) -> list[Issue]:
             f"wire has {longest / MM:.0f} mm"
         )
         hint = f"give a wire of {np.ceil(need / MM / 5.0) * 5.0:.0f} mm, or more cells than {nx} x {ny}"
-        issues.append(
-            _limit("element.wire", what, "panels.elastic.wires", longest, need, hint, int(short.sum()))
-        )
+        yield _limit("element.wire", what, "panels.elastic.wires", longest, need, hint, short)
     if far.any():
         at = np.unravel_index(int(np.argmax(np.where(far, least, -1.0))), far.shape)
         worst = float(least[at])
@@ -520,44 +517,29 @@ def _refusals(made: Search, found: Table, misfit: FloatArray) -> list[Issue]:
             f"allow tolerance_mm: {np.ceil(worst / MM * 100.0) / 100.0 + 0.01:.2f}, give more cells than "
             f"{nx} x {ny}, or smooth the surface if that is noise"
         )
-        issues.append(
-            _limit(
-                "element.tolerance",
-                what,
-                "panels.elastic.tolerance_mm",
-                worst,
-                rules.tolerance,
-                hint,
-                int(far.sum()),
-            )
+        yield _limit(
+            "element.tolerance", what, "panels.elastic.tolerance_mm", worst, rules.tolerance, hint, far
         )
     large = alone & ~short & ~far & ~found.boxes[:, 0, 0].any(axis=0)
     if large.any():
-        issues.append(_too_large(made, large))
+        yield _too_large(made, large)
     left = alone & ~short & ~far & ~large
-    if left.any() and not issues:
+    if left.any() and not (short | far | large).any():
         at = np.unravel_index(int(np.argmax(left)), left.shape)
         what = f"{_where(made, at)}: it is at the very limit of its block or of the tolerance, and beyond it "
         what += "where it is measured by its facets"
         hint = f"allow 0.1 mm more of tolerance_mm, 1 mm more of blocks, or more cells than {nx} x {ny}"
-        issues.append(
-            _limit(
-                "element.tolerance",
-                what,
-                "panels.elastic",
-                rules.tolerance,
-                rules.tolerance,
-                hint,
-                int(left.sum()),
-            )
-        )
-    return issues
+        most = rules.tolerance
+        yield _limit("element.tolerance", what, "panels.elastic", most, most, hint, left)
 
 
-def _limit(code: str, what: str, field: str, value: float, limit: float, hint: str, cells: int) -> Issue:
+def _limit(
+    code: str, what: str, field: str, value: float, limit: float, hint: str, cells: BoolArray
+) -> Issue:
+    """``element.*`` for cells that can be no panel, of which ``what`` names the worst."""
     return Issue(
         code,
-        f"{cells} of the cells can be no panel even alone, the worst is {what}",
+        f"{int(cells.sum())} of the cells can be no panel even alone, the worst is {what}",
         field=field,
         **measurement(value / MM, limit / MM, "mm"),
         hint=hint,
@@ -616,4 +598,4 @@ def _too_large(made: Search, cells: BoolArray) -> Issue:
     what = f"{_where(made, at)}: with foam around it no block holds it by {worst / MM:.1f} mm"
     hint = f"{fits}a block of {text} mm would, or give more cells than {made.cells[0]} x {made.cells[1]}"
     largest = max(rules.blocks, key=lambda block: float(np.prod(block)))
-    return _limit("element.block", what, "blocks", float(size[2]), float(largest[2]), hint, int(cells.sum()))
+    return _limit("element.block", what, "blocks", float(size[2]), float(largest[2]), hint, cells)

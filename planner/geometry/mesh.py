@@ -7,6 +7,7 @@ for closest places: small pieces, normals that are smooth except over creases.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Final
 
 import numpy as np
@@ -54,51 +55,26 @@ def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> lis
     vertices = len(mesh.vertices)
     key, inverse, count = np.unique(low * vertices + high, return_inverse=True, return_counts=True)
     edges = np.stack(np.divmod(key, vertices), axis=1)
-    issues = []
+    issue = functools.partial(Issue, file=file, field=name)
     if (count > 2).any():
         at = 1e3 * mesh.vertices[edges[count > 2][0]].mean(axis=0)
-        issues.append(
-            Issue(
-                "mesh.non_manifold",
-                f"{int((count > 2).sum())} edges join more than two faces, the first at "
-                f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; a face of a part has at most two at an edge, "
-                "so delete the extra ones",
-                file=file,
-                field=name,
-            )
-        )
-        return issues
+        what = f"{int((count > 2).sum())} edges join more than two faces, the first at ({at[0]:.1f}, "
+        what += f"{at[1]:.1f}, {at[2]:.1f}) mm; a face of a part has at most two at an edge, so delete the "
+        return [issue("mesh.non_manifold", f"{what}extra ones")]
     forward = directed[:, 0] < directed[:, 1]
+    issues: list[Issue] = []
     same = np.bincount(np.reshape(inverse, -1), weights=forward, minlength=len(edges))
     if ((count == 2) & (same != 1)).any():
-        issues.append(
-            Issue(
-                "mesh.orientation",
-                f"neighbouring faces have opposite normals at "
-                f"{int(((count == 2) & (same != 1)).sum())} edges; unify the normals",
-                file=file,
-                field=name,
-            )
-        )
+        many = int(((count == 2) & (same != 1)).sum())
+        what = f"neighbouring faces have opposite normals at {many} edges; unify the normals"
+        issues.append(issue("mesh.orientation", what))
     if (count == 2).all():
-        issues.append(
-            Issue(
-                "mesh.closed",
-                "the mesh is closed, one open face of the part is wanted; export that face alone",
-                file=file,
-                field=name,
-            )
-        )
+        what = "the mesh is closed, one open face of the part is wanted; export that face alone"
+        issues.append(issue("mesh.closed", what))
     pieces = _pieces(mesh)
     if pieces > 1:
-        issues.append(
-            Issue(
-                "mesh.pieces",
-                f"the mesh has {pieces} separate pieces, 1 is wanted; join them or export one",
-                file=file,
-                field=name,
-            )
-        )
+        what = f"the mesh has {pieces} separate pieces, 1 is wanted; join them or export one"
+        issues.append(issue("mesh.pieces", what))
     return issues
 
 
