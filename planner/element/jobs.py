@@ -75,14 +75,9 @@ def chosen_templates(element: Element, panels: Sequence[Panel], names: Sequence[
         if len(found) != 1:
             text = " x ".join(f"{v:g}" for v in size)
             which = " and ".join(t.file for t in found) or "no job"
-            issues.append(
-                Issue(
-                    "element.jobs",
-                    f"panel {name} with its block of {text} mm is meant by {which}, exactly one must be",
-                    field="jobs",
-                    hint="let the ranges of when (from, below) follow one another without gaps",
-                )
-            )
+            what = f"panel {name} with its block of {text} mm is meant by {which}, exactly one must be"
+            hint = "let the ranges of when (from, below) follow one another without gaps"
+            issues.append(Issue("element.jobs", what, field="jobs", hint=hint))
     if issues:
         first = dataclasses.replace(issues[0], count=len(issues))
         raise TandemError(first)

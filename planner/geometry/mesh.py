@@ -119,17 +119,10 @@ def offset(
     if turned.any():
         most = 1e3 * float(np.abs(shift).max())
         at = 1e3 * mesh.vertices[mesh.faces[turned][0]].mean(axis=0)
-        raise TandemError(
-            Issue(
-                "part.offset",
-                f"moved by {most:.2f} mm the face folds over itself at "
-                f"{int(turned.sum())} of {len(turned)} facets, the first at "
-                f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; its radius must be larger than that, "
-                "so use a thinner part, a smaller kerf or a smoother face",
-                field="part",
-                **measurement(most, None, "mm"),
-            )
-        )
+        what = f"moved by {most:.2f} mm the face folds over itself at {int(turned.sum())} of {len(turned)} "
+        what += f"facets, the first at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; its radius must be larger "
+        what += "than that, so use a thinner part, a smaller kerf or a smoother face"
+        raise TandemError(Issue("part.offset", what, field="part", **measurement(most, None, "mm")))
     return moved
 
 

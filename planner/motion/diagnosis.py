@@ -145,14 +145,9 @@ def _beyond(scene: Scene, targets: Targets, grid: Grid, arm: str, index: int) ->
 
 def _broken(targets: Targets, index: int) -> Issue:
     name = targets.name(index)
-    return Issue(
-        "motion.no_path",
-        f"no choice of branches for {' and '.join(targets.arms)} passes target {name}: up to there the arms "
-        f"can go, but not on without a jump of a joint, or not both with the same freedoms",
-        index=index,
-        target=name,
-        hint=_elsewhere(targets),
-    )
+    what = f"no choice of branches for {' and '.join(targets.arms)} passes target {name}: up to there the "
+    what += "arms can go, but not on without a jump of a joint, or not both with the same freedoms"
+    return Issue("motion.no_path", what, index=index, target=name, hint=_elsewhere(targets))
 
 
 def _wound_up(scene: Scene, targets: Targets, wound: Wound, index: int) -> Issue:
@@ -417,16 +412,11 @@ def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], sam
         lost = np.flatnonzero(np.isnan(q).any(axis=1))
         if len(lost):
             index = int(samples.move[lost[0]])
+            what = f"arm {arm} cannot follow the straight move to target {targets.name(index)}: between "
+            what += f"targets it leaves its reach or its branch {branch[arm]}"
+            hint = "put targets closer together there, or move the stock"
             raise TandemError(
-                Issue(
-                    "motion.linear_move",
-                    f"arm {arm} cannot follow the straight move to target {targets.name(index)}: "
-                    f"between targets it leaves its reach or its branch {branch[arm]}",
-                    arm=arm,
-                    index=index,
-                    target=targets.name(index),
-                    hint="put targets closer together there, or move the stock",
-                )
+                Issue("motion.linear_move", what, arm=arm, index=index, target=targets.name(index), hint=hint)
             )
     hit = np.flatnonzero(~clear(scene, targets, samples))
     if len(hit):

@@ -503,26 +503,18 @@ def _clock(
 def _not_kept(scene: Scene) -> Issue:
     wanted, own = scene.settings.clearance / MM, scene.settings.of_one_arm / MM
     itself = "" if own == wanted else f", or than {own:.1f} mm to its own arm"
-    return Issue(
-        "motion.path_kept",
-        f"the optimised path came nearer than {wanted:.1f} mm to something{itself}, so the ladder's path is "
-        "used, which is less smooth",
-        severity=Severity.NOTE,
-        limit=wanted,
-        unit="mm",
-        hint="lower clearance_mm or own_clearance_mm, or make room where the report shows the least of them",
-    )
+    what = f"the optimised path came nearer than {wanted:.1f} mm to something{itself}, so the ladder's path "
+    what += "is used, which is less smooth"
+    hint = "lower clearance_mm or own_clearance_mm, or make room where the report shows the least of them"
+    return Issue("motion.path_kept", what, severity=Severity.NOTE, limit=wanted, unit="mm", hint=hint)
 
 
 def _no_solver() -> Issue:
     names = " nor ".join(program.solver_name(kind) for kind in program.SOLVERS)
-    return Issue(
-        "motion.solver",
-        f"this build of Drake has neither {names}, which make paths smoother and ways home shorter; those "
-        "that were found without them are used",
-        severity=Severity.NOTE,
-        hint="install drake from its own wheels (pip install drake)",
-    )
+    what = f"this build of Drake has neither {names}, which make paths smoother and ways home shorter; those "
+    what += "that were found without them are used"
+    hint = "install drake from its own wheels (pip install drake)"
+    return Issue("motion.solver", what, severity=Severity.NOTE, hint=hint)
 
 
 def _too_slow(targets: Targets, clock_time: FloatArray) -> IndexArray:

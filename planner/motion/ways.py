@@ -243,15 +243,11 @@ def require_home(scene: Scene, targets: Targets) -> None:
     apart, wanted, _ = own_clearance.told(scene.settings, float(found.distance[0]), pair)
     distance = apart / MM
     said = f"{distance:.1f} mm apart" if distance > 0.0 else f"{-distance:.1f} mm inside of one another"
+    what = f"at home {pair[0]} and {pair[1]} are {said}, allowed is {wanted / MM:.1f} mm apart at least"
+    hint = "choose another home posture (home_deg), such as with axis 2 drawn back or axis 1 turned away, or "
+    hint += "move what is in the way"
     raise TandemError(
-        Issue(
-            "motion.home",
-            f"at home {pair[0]} and {pair[1]} are {said}, allowed is {wanted / MM:.1f} mm apart at least",
-            bodies=pair,
-            **measurement(distance, wanted / MM, "mm"),
-            hint="choose another home posture (home_deg), such as with axis 2 drawn back or axis 1 turned "
-            "away, or move what is in the way",
-        )
+        Issue("motion.home", what, bodies=pair, **measurement(distance, wanted / MM, "mm"), hint=hint)
     )
 
 

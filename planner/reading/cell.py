@@ -578,22 +578,13 @@ def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:
         f"{low:.0f} to {high:.0f}" for low, high in np.stack([data.lower, data.upper], axis=1) / DEG
     )
     got = ", ".join(f"{angle:g}" for angle in arm.home_deg or ())
-    return Issue(
-        "problem.field",
-        f"home_deg is [{got}], which {data.title} cannot take: its joints, counted without the parallel rod, "
-        f"go {limits} deg; correct it",
-        field=f"arms.{number}.home_deg",
-        arm=arm.name,
-    )
+    what = f"home_deg is [{got}], which {data.title} cannot take: its joints, counted without the parallel "
+    what += f"rod, go {limits} deg; correct it"
+    return Issue("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name)
 
 
 def too_heavy(arm: str, field: str, tool: tooling.Tool, data: RobotData) -> Issue:
     """A tool beyond the payload of the robot ``data``."""
-    return Issue(
-        "problem.field",
-        f"the tool weighs {tool.mass:g} kg, {data.title} carries {data.payload:g} kg; "
-        "take a larger robot or a lighter tool",
-        field=field,
-        arm=arm,
-        **measurement(tool.mass, data.payload, "kg"),
-    )
+    what = f"the tool weighs {tool.mass:g} kg, {data.title} carries {data.payload:g} kg; take a larger robot "
+    what += "or a lighter tool"
+    return Issue("problem.field", what, field=field, arm=arm, **measurement(tool.mass, data.payload, "kg"))

@@ -276,15 +276,9 @@ def check_size(front: TriangleMesh, field: str, largest: float = LARGEST_EXTENT)
     length = float(np.linalg.norm(np.ptp(front.vertices, axis=0)))
     width = float(face_areas(front).sum()) / length  # on average; a bent strip's extents do not tell it
     if width < SMALLEST_EXTENT or length > largest:
-        raise TandemError(
-            Issue(
-                "mesh.unit",
-                f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
-                f"{SMALLEST_EXTENT * 1e3:g} to {largest * 1e3:g} mm; "
-                "correct its measures, unit or region",
-                field=field,
-            )
-        )
+        what = f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
+        what += f"{SMALLEST_EXTENT * 1e3:g} to {largest * 1e3:g} mm; correct its measures, unit or region"
+        raise TandemError(Issue("mesh.unit", what, field=field))
 
 
 def check_file(mesh: TriangleMesh, field: str, path: Path) -> None:

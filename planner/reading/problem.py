@@ -470,13 +470,10 @@ def _cell(spec: str | CellFile, document: Document) -> Cell:
         return _built(spec, document, ("cell",))
     path = document.path.parent / spec
     if not is_file(path):
+        what = f"cell: no file {path}; check the path, which starts at the folder of the problem file"
         raise TandemError(
             Issue(
-                "problem.missing_file",
-                f"cell: no file {path}; check the path, which starts at the folder of the problem file",
-                file=document.name,
-                line=document.line(("cell",)),
-                field="cell",
+                "problem.missing_file", what, file=document.name, line=document.line(("cell",)), field="cell"
             )
         )
     return read_cell(strict_yaml.read(path))

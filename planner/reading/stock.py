@@ -210,13 +210,9 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
     arm = known[name]
     tool = arm.tool
     if not isinstance(tool, Gripper):
-        yield Issue(
-            "stock.gripper",
-            f"{field}.held_by: arm {name} carries the tool {tool.name}, which holds no block; give it a "
-            "gripper_plate or a vacuum_cup",
-            field=f"{field}.held_by",
-            arm=name,
-        )
+        what = f"{field}.held_by: arm {name} carries the tool {tool.name}, which holds no block; give it a "
+        what += "gripper_plate or a vacuum_cup"
+        yield Issue("stock.gripper", what, field=f"{field}.held_by", arm=name)
         return
     if block.mass is None:
         yield Issue(
@@ -262,14 +258,10 @@ def _footprint(block: Stock, arm: str, tool: Gripper, field: str) -> Iterator[Is
     gap = float(block.grip[2, 3] + block.lower[2])
     if lean > FLAT_ANGLE or abs(gap) > FLAT_GAP:
         how = f"{lean / DEG:.1f} degrees off it" if lean > FLAT_ANGLE else f"{gap / MM:.1f} mm off it"
-        yield Issue(
-            "stock.footprint",
-            f"{field}.grip: the block's bottom face must lie on {tool.name}, whose z points into the "
-            f"block, but is {how}; allowed are {FLAT_ANGLE / DEG:g} degrees and {FLAT_GAP / MM:g} mm: turn "
-            f"the grip about z only, with {abs(block.lower[2]) / MM:g} as its z (the oversize below)",
-            field=f"{field}.grip",
-            arm=arm,
-        )
+        what = f"{field}.grip: the block's bottom face must lie on {tool.name}, whose z points into the "
+        what += f"block, but is {how}; allowed are {FLAT_ANGLE / DEG:g} degrees and {FLAT_GAP / MM:g} mm: "
+        what += f"turn the grip about z only, with {abs(block.lower[2]) / MM:g} as its z (the oversize below)"
+        yield Issue("stock.footprint", what, field=f"{field}.grip", arm=arm)
         return
     half = 0.5 * np.array(tool.footprint)
     corners = np.array([[x, y, 0.0, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])

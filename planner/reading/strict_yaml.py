@@ -128,14 +128,10 @@ def read(path: Path) -> Document:
         )
     size = path.stat().st_size
     if size > MAX_YAML_BYTES:
+        what = f"{name}: {size / 1e6:.1f} MB, at most {MAX_YAML_BYTES / 1e6:.0f} MB are read as YAML; put "
+        what += "meshes and point lists into files of their own"
         raise TandemError(
-            Issue(
-                "problem.too_large",
-                f"{name}: {size / 1e6:.1f} MB, at most {MAX_YAML_BYTES / 1e6:.0f} MB are read as YAML; "
-                "put meshes and point lists into files of their own",
-                file=name,
-                **measurement(size / 1e6, MAX_YAML_BYTES / 1e6, "MB"),
-            )
+            Issue("problem.too_large", what, file=name, **measurement(size / 1e6, MAX_YAML_BYTES / 1e6, "MB"))
         )
     try:
         raw = path.read_bytes()
@@ -315,10 +311,11 @@ def _refuse_repeated(node: yaml.Node, name: str) -> None:
             seen: set[str] = set()
             for key, value in current.value:
                 if key.value in seen:
+                    what = f"key '{key.value}' stands twice in one mapping; keep one"
                     raise TandemError(
                         Issue(
                             "problem.duplicate_name",
-                            f"key '{key.value}' stands twice in one mapping; keep one",
+                            what,
                             file=name,
                             line=key.start_mark.line + 1,
                             field=str(key.value),

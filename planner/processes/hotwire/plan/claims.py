@@ -85,14 +85,9 @@ def slot(
     if kerf_mm is not None:
         return facts.KerfCurve.constant(kerf_mm * MM)
     if foam is None or power_w is None:
-        raise TandemError(
-            Issue(
-                "stock.foam_missing",
-                "the slot follows from power_w and the block's foam, and one of them is not stated; give "
-                "stock.foam, or kerf_mm instead of power_w",
-                field="stock.foam",
-            )
-        )
+        what = "the slot follows from power_w and the block's foam, and one of them is not stated; give "
+        what += "stock.foam, or kerf_mm instead of power_w"
+        raise TandemError(Issue("stock.foam_missing", what, field="stock.foam"))
     fit, heat, melts = foam.kerf, foam.specific_heat, foam.melt_temperature
     if fit is None or heat is None or melts is None:
         what = f"the slot in {foam.name}: got no test cuts, heat or melting point, allowed a foam with them"
@@ -144,13 +139,9 @@ def stiffness(
         soft, stiff = width * thickness**3 / 12.0, thickness * width**3 / 12.0
         twist, area, thick = rectangle_torsion(width, thickness), width * thickness, thickness
     else:
-        raise TandemError(
-            Issue(
-                "wire.size",
-                "wire size: got neither a diameter nor a width and a thickness, allowed one of the two",
-                hint="give diameter_mm, or width_mm and thickness_mm",
-            )
-        )
+        what = "wire size: got neither a diameter nor a width and a thickness, allowed one of the two"
+        hint = "give diameter_mm, or width_mm and thickness_mm"
+        raise TandemError(Issue("wire.size", what, hint=hint))
     strain = material.yield_stress / _at(material.young_table, REFERENCE_TEMPERATURE)
     weight = material.density * area * GRAVITY
     return Stiffness(young * soft, young * stiff, shear * twist, weight, 2.0 * strain / thick, thick)

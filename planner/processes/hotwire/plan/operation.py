@@ -62,14 +62,9 @@ class Heat(Strict):
         if self.kerf_mm is not None:
             return KerfCurve.constant(self.kerf_mm * MM)
         if self.power_w is None or foam is None:
-            raise TandemError(
-                Issue(
-                    "stock.foam_missing",
-                    "power_w is given, but the kerf depends on the block's foam, which is not named; name "
-                    "stock.foam, or give kerf_mm instead",
-                    field="stock.foam",
-                )
-            )
+            what = "power_w is given, but the kerf depends on the block's foam, which is not named; name "
+            what += "stock.foam, or give kerf_mm instead"
+            raise TandemError(Issue("stock.foam_missing", what, field="stock.foam"))
         wire = width.HotWire(diameter, length)
         return width.curve(foam, wire, self.power_w, thickness, np.array(KERF_SPEEDS))
 

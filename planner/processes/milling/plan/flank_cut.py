@@ -134,14 +134,9 @@ def surface(part: Part | None, name: str) -> Ruled:
     known = {} if part is None else {own.name: own for own in part.ruled}
     if name not in known:
         has = ", ".join(known) or "none"
-        raise TandemError(
-            Issue(
-                "milling.no_surface",
-                f"cuts: the part has no ruled surface {name}; it has {has}: name one of them, or give it "
-                "under part.ruled",
-                field="operations.cuts",
-            )
-        )
+        what = f"cuts: the part has no ruled surface {name}; it has {has}: name one of them, or give it "
+        what += "under part.ruled"
+        raise TandemError(Issue("milling.no_surface", what, field="operations.cuts"))
     return known[name]
 
 

@@ -99,14 +99,10 @@ def line_runs(
     tops = [(corners @ axis).max() - EDGE_MARGIN if len(corners) else 0.0 for axis in (way, side)]
     if min(tops[0] - ends[0], tops[1] - ends[1]) <= 0.0:
         most = 0.25 * float((over.high - over.low).min()) / MM
+        what = f"lines: a margin of {cut.margin_mm:g} mm leaves nothing of the face; {most:.1f} mm would "
+        what += "leave half of its width"
         raise TandemError(
-            Issue(
-                "milling.pattern",
-                f"lines: a margin of {cut.margin_mm:g} mm leaves nothing of the face; {most:.1f} mm would "
-                "leave half of its width",
-                field="operations.cuts.margin_mm",
-                value=cut.margin_mm,
-            )
+            Issue("milling.pattern", what, field="operations.cuts.margin_mm", value=cut.margin_mm)
         )
     count = int(np.ceil((tops[0] - ends[0]) / LINE_SPACING)) + 1
     places = np.linspace(ends[0], tops[0], count)[:, None] * way
@@ -163,14 +159,9 @@ def _offsets(
     the line asks for; all are made smaller alike so that the last one lies on the edge. ``most``: how
     high [m] ridges may be."""
     if cut.scallop_mm is not None and cutter.corner == 0.0:
-        raise TandemError(
-            Issue(
-                "milling.pattern",
-                "lines: a cylinder's end leaves no round ridges, so that scallop_mm says nothing; give a "
-                "stepover_mm, or take a ball or bull nose",
-                field="operations.cuts.scallop_mm",
-            )
-        )
+        what = "lines: a cylinder's end leaves no round ridges, so that scallop_mm says nothing; give a "
+        what += "stepover_mm, or take a ball or bull nose"
+        raise TandemError(Issue("milling.pattern", what, field="operations.cuts.scallop_mm"))
     found, lowest = [ends[0]], np.inf
     while found[-1] < ends[1]:
         step, ridge = _step(cut, over, places, side, found[-1], ends, cutter)
@@ -210,13 +201,11 @@ def _ridges(cut: LinesCut, lowest: float, most: float) -> None:
             do = f"a stepover_mm of {np.floor(np.sqrt(less) * cut.stepover_mm * 100.0) / 100.0:.2f}"
         else:
             do = f"a scallop_mm of {np.floor(less * (cut.scallop_mm or 0.0) * 1000.0) / 1000.0:.3f}"
+        what = f"lines: ridges of {lowest / MM:.3f} mm or more leave too little of it within shape_tol_mm; "
+        what += f"allowed: {most / MM:.3f} mm; give {do} or less, or more tolerance"
         raise TandemError(
             Issue(
-                "milling.pattern",
-                f"lines: ridges of {lowest / MM:.3f} mm or more leave too little of it within shape_tol_mm; "
-                f"allowed: {most / MM:.3f} mm; give {do} or less, or more tolerance",
-                field="operations.cuts",
-                **measurement(lowest / MM, most / MM, "mm"),
+                "milling.pattern", what, field="operations.cuts", **measurement(lowest / MM, most / MM, "mm")
             )
         )
 

@@ -287,15 +287,9 @@ def work(op: Milling, setup: Setup, part: Part | None) -> Work:
 def _cutter(op: Milling, setup: Setup) -> Cutter:
     tool = setup.cell.arm(op.arms[0]).tool
     if not isinstance(tool, Mill):
-        raise TandemError(
-            Issue(
-                "milling.tool",
-                f"arm {op.arms[0]} carries the tool {tool.name}, which has no cutter; give it a "
-                f"tool of kind mill",
-                field="cell.arms",
-                arm=op.arms[0],
-            )
-        )
+        what = f"arm {op.arms[0]} carries the tool {tool.name}, which has no cutter; give it a tool of kind "
+        what += "mill"
+        raise TandemError(Issue("milling.tool", what, field="cell.arms", arm=op.arms[0]))
     return tool.cutter
 
 
@@ -335,13 +329,8 @@ def _on_front(
 
 def _front(part: Part | None) -> Mesh:
     if part is None or part.front is None:
-        raise TandemError(
-            Issue(
-                "milling.no_surface",
-                "cuts: lines and engraving need a front of the part; give part.front",
-                field="operations.cuts",
-            )
-        )
+        what = "cuts: lines and engraving need a front of the part; give part.front"
+        raise TandemError(Issue("milling.no_surface", what, field="operations.cuts"))
     corners = part.front.vertices[part.front.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     up = cross[:, 2] / np.maximum(np.linalg.norm(cross, axis=1), 1e-30)

@@ -252,13 +252,8 @@ def _twist(axis: FreeAxis) -> FloatArray:
 
 def _freedom(axis: FreeAxis, count: int) -> ScrewFreedom:
     if (axis.turn_deg is None) == (axis.slide_mm is None):
-        raise TandemError(
-            Issue(
-                "targets.freedom",
-                f"free axis '{axis.name}': give either turn_deg or slide_mm, one of them",
-                field="operations.free",
-            )
-        )
+        what = f"free axis '{axis.name}': give either turn_deg or slide_mm, one of them"
+        raise TandemError(Issue("targets.freedom", what, field="operations.free"))
     bounds = axis.turn_deg or axis.slide_mm or (0.0, 0.0)
     scale = DEG if axis.turn_deg is not None else MM
     lower, upper = (np.full(count, bound * scale) for bound in bounds)
@@ -269,22 +264,11 @@ def _freedom(axis: FreeAxis, count: int) -> ScrewFreedom:
 def _rows(operation: Posed) -> list[Mapping[str, Any]]:
     path = operation.file
     if not is_file(path):
-        raise TandemError(
-            Issue(
-                "problem.missing_file",
-                f"{path}: {no_file(path)}; check the path, which starts at the problem file's folder",
-                file=str(path),
-                field="operations.file",
-            )
-        )
+        what = f"{path}: {no_file(path)}; check the path, which starts at the problem file's folder"
+        raise TandemError(Issue("problem.missing_file", what, file=str(path), field="operations.file"))
     if path.stat().st_size > MAX_TABLE_BYTES:
-        raise TandemError(
-            Issue(
-                "problem.too_large",
-                f"{path}: over {MAX_TABLE_BYTES // 1_000_000} MB; split the job",
-                file=str(path),
-            )
-        )
+        what = f"{path}: over {MAX_TABLE_BYTES // 1_000_000} MB; split the job"
+        raise TandemError(Issue("problem.too_large", what, file=str(path)))
     try:
         text = path.read_bytes().decode("utf-8-sig")
         rows = json.loads(text) if path.suffix.lower() == ".json" else _table(text, operation)

@@ -142,14 +142,9 @@ def _outer_border(vertices: FloatArray, faces: IntArray, rim: IntArray) -> IntAr
             what = f"holes of the part, or one and its edge, meet in a point at {where(at)}; a sheet is "
             what += "formed whole, so close them and cut them afterwards"
             raise TandemError(Issue("forming.hole", what, field="part"))
-        raise TandemError(
-            Issue(
-                "forming.touching",
-                f"two pieces of the part meet in a single point at {where(at)} with no sheet between them, "
-                "so they cannot be told apart; move them apart, or join them by a strip of flat sheet",
-                field="part",
-            )
-        )
+        what = f"two pieces of the part meet in a single point at {where(at)} with no sheet between them, so "
+        what += "they cannot be told apart; move them apart, or join them by a strip of flat sheet"
+        raise TandemError(Issue("forming.touching", what, field="part"))
     graph = coo_array((np.ones(len(rim)), (rim[:, 0], rim[:, 1])), shape=(count, count))
     _, label = connected_components(graph, directed=False)
     a, b = vertices[rim[:, 0], :2], vertices[rim[:, 1], :2]
@@ -166,25 +161,17 @@ def _outer_border(vertices: FloatArray, faces: IntArray, rim: IntArray) -> IntAr
 
 def _hole(points: FloatArray) -> Issue:
     middle, size = points.mean(axis=0), max(sides(points[:, :2])[0], float(np.ptp(points[:, 2])))
-    return Issue(
-        "forming.hole",
-        f"the part has a hole, {size / MM:.3g} mm across, at {where(middle)}; a sheet is formed whole, so "
-        "close it (or, where it is a crack between facets, sew the mesh) and cut it afterwards",
-        field="part",
-        **measurement(size / MM, None, "mm"),
-    )
+    what = f"the part has a hole, {size / MM:.3g} mm across, at {where(middle)}; a sheet is formed whole, so "
+    what += "close it (or, where it is a crack between facets, sew the mesh) and cut it afterwards"
+    return Issue("forming.hole", what, field="part", **measurement(size / MM, None, "mm"))
 
 
 def _border(point: FloatArray, level: float, noise: float) -> Issue:
     off = abs(float(point[2]) - level) / MM
-    return Issue(
-        "forming.border",
-        f"the edge of the part is {off:.3f} mm off the flat sheet at {where(point)}, at most "
-        f"{noise / MM:.3f} mm is allowed, so that its contours would end there; extend the part by a surface "
-        "that runs out into the sheet plane",
-        field="part",
-        **measurement(off, noise / MM, "mm"),
-    )
+    what = f"the edge of the part is {off:.3f} mm off the flat sheet at {where(point)}, at most "
+    what += f"{noise / MM:.3f} mm is allowed, so that its contours would end there; extend the part by a "
+    what += "surface that runs out into the sheet plane"
+    return Issue("forming.border", what, field="part", **measurement(off, noise / MM, "mm"))
 
 
 def _undercut(vertices: FloatArray, faces: IntArray, edges: IntArray, face_edges: IntArray) -> Issue | None:
@@ -213,14 +200,10 @@ def _undercut(vertices: FloatArray, faces: IntArray, edges: IntArray, face_edges
     angle = math.degrees(math.acos(np.clip(normal[most, 2] / area[most], -1.0, 1.0)))
     at = vertices[faces[turned[most]]].mean(axis=0)
     groups = int((overhang > OVERHANG).sum())
-    return Issue(
-        "forming.undercut",
-        f"the part turns over in {groups} place{'s' if groups > 1 else ''}: a wall of {angle:.1f} deg at "
-        f"{where(at)}, walls up to 90 deg can be formed; take the undercut out of the part, or turn the part",
-        field="part",
-        **measurement(angle, 90.0, "deg"),
-        count=groups,
-    )
+    what = f"the part turns over in {groups} place{'s' if groups > 1 else ''}: a wall of {angle:.1f} deg at "
+    what += f"{where(at)}, walls up to 90 deg can be formed; take the undercut out of the part, or turn the "
+    what += "part"
+    return Issue("forming.undercut", what, field="part", **measurement(angle, 90.0, "deg"), count=groups)
 
 
 def slice_levels(

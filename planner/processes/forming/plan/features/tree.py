@@ -157,15 +157,9 @@ def _check_step(mesh: Mesh, step: float) -> None:
     extent = float(np.ptp(mesh.vertices[:, 2])) if len(mesh.vertices) else 0.0
     if not (math.isfinite(step) and step > 0.0 and extent / step <= MOST_SLICES):
         least = extent / MM / MOST_SLICES + 1e-6  # as told, in whole nanometres
-        raise TandemError(
-            Issue(
-                "forming.step",
-                f"step: got {step / MM:g} mm, allowed is {least:.6f} mm at least, {MOST_SLICES} levels over "
-                f"the part's {extent / MM:.3g} mm; state such a length",
-                field="step",
-                **measurement(step / MM, least, "mm"),
-            )
-        )
+        what = f"step: got {step / MM:g} mm, allowed is {least:.6f} mm at least, {MOST_SLICES} levels over "
+        what += f"the part's {extent / MM:.3g} mm; state such a length"
+        raise TandemError(Issue("forming.step", what, field="step", **measurement(step / MM, least, "mm")))
 
 
 def _walls(surface: SheetSurface, noise: float) -> list[Wall]:
@@ -212,13 +206,9 @@ def _preorder(found: list[Wall], size: list[float]) -> list[int]:
 
 def _flat(surface: SheetSurface, noise: float) -> Issue:
     height = float(np.ptp(surface.vertices[:, 2]))
-    return Issue(
-        "forming.flat",
-        f"nothing of the part leaves the sheet plane by {noise / MM:g} mm (its z vary by "
-        f"{height / MM:.3g} mm); check the unit of the mesh, and that its z axis is normal to the sheet",
-        field="part",
-        **measurement(height / MM, noise / MM, "mm"),
-    )
+    what = f"nothing of the part leaves the sheet plane by {noise / MM:g} mm (its z vary by "
+    what += f"{height / MM:.3g} mm); check the unit of the mesh, and that its z axis is normal to the sheet"
+    return Issue("forming.flat", what, field="part", **measurement(height / MM, noise / MM, "mm"))
 
 
 def _touching(features: list[Feature], noise: float) -> tuple[Issue, ...]:

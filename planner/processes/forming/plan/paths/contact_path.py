@@ -367,14 +367,10 @@ def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
     )
     loops, ways = in_order([group for group in groups if group], options, centre)
     if not loops:
-        raise TandemError(
-            Issue(
-                "forming.no_contour",
-                f"{one.name}: no closed level line of the face lies in the feature's outline between z = "
-                f"{1e3 * one.start:.3f} and {1e3 * one.end:.3f} mm; check that levels and outline belong to "
-                "the face",
-            )
-        )
+        what = f"{one.name}: no closed level line of the face lies in the feature's outline between z = "
+        what += f"{1e3 * one.start:.3f} and {1e3 * one.end:.3f} mm; check that levels and outline belong to "
+        what += "the face"
+        raise TandemError(Issue("forming.no_contour", what))
     helical = options.kind == "helical"
     curve = spiral_curve(loops, ways, options.seams) if helical else loop_curve(loops, ways)
     return _contact_path(targets(curve, face, creases, options, one.name), curve, face, options, one.side)

@@ -170,14 +170,10 @@ def _followers(segments: Segments, region: Polygon | None, name: str) -> tuple[S
     inside = np.ones(len(spot), bool) if region is None else contains_xy(region, spot[:, 0], spot[:, 1])
     if inside.any():
         at_mm = 1e3 * spot[inside][0]
-        raise TandemError(
-            Issue(
-                "forming.open_contour",
-                f"{name}: the level line at z = {at_mm[2]:.2f} mm ends at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) "
-                "mm, closed ones are wanted: the mesh has a hole or a border there; close it, or let the "
-                "mesh reach the flat around the feature",
-            )
-        )
+        what = f"{name}: the level line at z = {at_mm[2]:.2f} mm ends at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) "
+        what += "mm, closed ones are wanted: the mesh has a hole or a border there; close it, or let the "
+        what += "mesh reach the flat around the feature"
+        raise TandemError(Issue("forming.open_contour", what))
     rows = np.flatnonzero(~ends)
     graph = coo_array((np.ones(len(rows)), (rows, follow[rows])), shape=(count, count))
     _, piece = connected_components(graph, directed=False)

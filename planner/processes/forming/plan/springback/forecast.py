@@ -197,17 +197,13 @@ def issues(found: Sequence[PassSpringback]) -> list[Issue]:
         at = int(np.nanargmax(worst.springback))
         z = worst.control.point[at, 2] / MM
         mean = float(np.nanmean(worst.springback)) / MM
+        what = f"pass {worst.one.name}: when the tool lets go the sheet comes back by up to {most:.2f} mm "
+        what += f"(at z = {z:.1f} mm, under {worst.force[at]:.0f} N), by {mean:.2f} mm in the mean of its "
+        what += f"control points: so much too shallow the part will be, {TOLD:g} mm are not told"
+        hint = "hold the sheet nearer to the part (opening_mm) or more firmly (clamp: border), take thicker "
+        hint += "sheet, or state a measured force_n"
         out.append(
-            Issue(
-                "forming.springback",
-                f"pass {worst.one.name}: when the tool lets go the sheet comes back by up to {most:.2f} mm "
-                f"(at z = {z:.1f} mm, under {worst.force[at]:.0f} N), by {mean:.2f} mm in the mean of its "
-                f"control points: so much too shallow the part will be, {TOLD:g} mm are not told",
-                Severity.WARNING,
-                **measurement(most, TOLD, "mm"),
-                hint="hold the sheet nearer to the part (opening_mm) or more firmly (clamp: border), take "
-                "thicker sheet, or state a measured force_n",
-            )
+            Issue("forming.springback", what, Severity.WARNING, **measurement(most, TOLD, "mm"), hint=hint)
         )
     for one in found:
         snaps = np.flatnonzero(np.isnan(one.springback))

@@ -141,13 +141,10 @@ def _taut(op: ElasticWire, route: Route) -> Iterator[Issue]:
     worst = int(np.argmax(apart))
     if apart[worst] <= _TAUT_SHARE:
         return
-    yield Issue(
-        "wire.end_error",
-        f"{op.name}: the wire of {op.chosen.length_mm:g} mm is all but straight ({_name(route, worst)}): "
-        f"its ends are {apart[worst] * op.chosen.length_mm:.3f} mm apart, "
-        f"{_TAUT_SHARE * op.chosen.length_mm:.2f} mm are allowed",
-        index=worst,
-    )
+    what = f"{op.name}: the wire of {op.chosen.length_mm:g} mm is all but straight ({_name(route, worst)}): "
+    what += f"its ends are {apart[worst] * op.chosen.length_mm:.3f} mm apart, "
+    what += f"{_TAUT_SHARE * op.chosen.length_mm:.2f} mm are allowed"
+    yield Issue("wire.end_error", what, index=worst)
 
 
 def _bending(wire: Wire, route: Route, figures: Figures) -> Iterator[Issue]:
@@ -267,13 +264,10 @@ def misfit(
         return
     worst = int(np.argmax(np.abs(residual).max(axis=1)))
     off = float(np.abs(residual[worst]).max())
-    yield Issue(
-        "wire.shape",
-        f"{op.name}: {op.chosen} swept along {op.way} meets {op.share * 100:g} % of the "
-        f"{name} face within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is "
-        f"at {sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
-        **measurement(got * 1e3, op.shape_tol_mm, "mm"),
-    )
+    what = f"{op.name}: {op.chosen} swept along {op.way} meets {op.share * 100:g} % of the {name} face "
+    what += f"within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is at "
+    what += f"{sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm"
+    yield Issue("wire.shape", what, **measurement(got * 1e3, op.shape_tol_mm, "mm"))
 
 
 def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> Iterator[Issue]:

@@ -237,15 +237,9 @@ class ElasticJob(Job[ElasticWire]):
         operation, setup, part = self.operation, self.setup, self.part
         stock = setup.stock
         if stock.held_by is not None:
-            raise TandemError(
-                Issue(
-                    "wire.held",
-                    f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire takes "
-                    "both its arms; let the block stand: setup: {held_by: nobody, place: auto}",
-                    field="stock.held_by",
-                    arm=stock.held_by,
-                )
-            )
+            what = f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire takes "
+            what += "both its arms; let the block stand: setup: {held_by: nobody, place: auto}"
+            raise TandemError(Issue("wire.held", what, field="stock.held_by", arm=stock.held_by))
         if self.brief and (few := self._unjudged()) is not None:
             return few
         screen, made, tried = self._made

@@ -353,24 +353,14 @@ def _rows(path: Path) -> tuple[list[str], list[Row]]:
         raise TandemError(Issue("kerf.file", f"{name}: {no_file(path)}", file=name, hint="check the path"))
     try:
         if path.stat().st_size > MAX_TEST_CUT_BYTES:
-            raise TandemError(
-                Issue(
-                    "kerf.file",
-                    f"{name}: larger than {MAX_TEST_CUT_BYTES / 1e6:g} MB",
-                    file=name,
-                    hint="cut it down",
-                )
-            )
+            what = f"{name}: larger than {MAX_TEST_CUT_BYTES / 1e6:g} MB"
+            hint = "cut it down"
+            raise TandemError(Issue("kerf.file", what, file=name, hint=hint))
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise TandemError(
-            Issue(
-                "kerf.file",
-                f"{name}: cannot be read as text: {error}",
-                file=name,
-                hint="save it as CSV, UTF-8",
-            )
-        ) from error
+        what = f"{name}: cannot be read as text: {error}"
+        hint = "save it as CSV, UTF-8"
+        raise TandemError(Issue("kerf.file", what, file=name, hint=hint)) from error
     lines = [
         (k + 1, line) for k, line in enumerate(text.splitlines()) if line.strip() and not line.startswith("#")
     ]

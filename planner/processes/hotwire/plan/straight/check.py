@@ -147,15 +147,10 @@ def check_bow(
     need = np.where(np.isfinite(first), last - first, 0.0)
     k = int(np.argmax(need))
     if need[k] > bow.span + NEGLIGIBLE_LENGTH:
-        yield Issue(
-            "bow.span",
-            f"{op.name}: in {segment[k]} the foam and {op.margin_mm:g} mm at both ends need a wire of "
-            f"{np.ceil((need[k] - NEGLIGIBLE_LENGTH) / MM):.0f} mm, but the bow's is {bow.span / MM:.0f} "
-            "mm; take a "
-            "wider bow or a smaller block, or let the wire run along another axis",
-            index=k,
-            **measurement(float(need[k] / MM), bow.span / MM, "mm"),
-        )
+        what = f"{op.name}: in {segment[k]} the foam and {op.margin_mm:g} mm at both ends need a wire of "
+        what += f"{np.ceil((need[k] - NEGLIGIBLE_LENGTH) / MM):.0f} mm, but the bow's is {bow.span / MM:.0f} "
+        what += "mm; take a wider bow or a smaller block, or let the wire run along another axis"
+        yield Issue("bow.span", what, index=k, **measurement(float(need[k] / MM), bow.span / MM, "mm"))
     inside = np.flatnonzero(np.isfinite(chord(lines, box)[0]))
     if not inside.size:
         return

@@ -376,13 +376,9 @@ def _own_side(op: Straight, cut: Cut) -> Iterator[Issue]:
     ahead = foot.start[0] + foot.end[0] - foot.start[1] - foot.end[1]
     if isinstance(cut.wanted.cut, SurfaceCut) and cut.wanted.cut.lead == "auto" and way @ ahead > 0.0:
         return
-    yield Issue(
-        "straight.lead",
-        f"{op.name}: the lead of {cut.wanted.segment} comes through the part, {depth / MM:.1f} mm below its "
-        f"surface, to {place_text(foot.start[0])}; give a lead on the outer side, or auto",
-        field=str(cut.wanted.segment),
-        **measurement(depth / MM, 0.0, "mm"),
-    )
+    what = f"{op.name}: the lead of {cut.wanted.segment} comes through the part, {depth / MM:.1f} mm below "
+    what += f"its surface, to {place_text(foot.start[0])}; give a lead on the outer side, or auto"
+    yield Issue("straight.lead", what, field=str(cut.wanted.segment), **measurement(depth / MM, 0.0, "mm"))
 
 
 def _through(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
@@ -408,13 +404,10 @@ def _through(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) 
             places = np.concatenate(list(_passed(ends, triangles, box, both=False)))
             places = places[_of_the_part(places, other, bounds, box)]
             if len(places):
-                yield Issue(
-                    "straight.lead",
-                    f"{op.name}: the way {word} of {cut.wanted.segment} goes straight on through the part, "
-                    f"into which it comes through {other.name} at {place_text(places[0])}; make both one "
-                    "surface with a corner, or move them apart",
-                    field=str(cut.wanted.segment),
-                )
+                what = f"{op.name}: the way {word} of {cut.wanted.segment} goes straight on through the "
+                what += f"part, into which it comes through {other.name} at {place_text(places[0])}; make "
+                what += "both one surface with a corner, or move them apart"
+                yield Issue("straight.lead", what, field=str(cut.wanted.segment))
                 return
 
 

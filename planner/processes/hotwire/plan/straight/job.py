@@ -173,15 +173,9 @@ def bow_of(op: Straight, setup: Setup) -> Bow:
     issues = [*_arms(op, setup)]
     tool = setup.cell.arm(op.arms[0]).tool
     if not isinstance(tool, Bow):
-        issues.append(
-            Issue(
-                "bow.missing",
-                f"{op.name}: arm {op.arms[0]} carries the tool {tool.name}, which has no straight wire; "
-                "give it a bow, in the cell or in this operation's setup",
-                field="cell.arms",
-                arm=op.arms[0],
-            )
-        )
+        what = f"{op.name}: arm {op.arms[0]} carries the tool {tool.name}, which has no straight wire; give "
+        what += "it a bow, in the cell or in this operation's setup"
+        issues.append(Issue("bow.missing", what, field="cell.arms", arm=op.arms[0]))
     if issues or not isinstance(tool, Bow):
         raise TandemError(issues)
     return tool

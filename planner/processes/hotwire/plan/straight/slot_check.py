@@ -289,14 +289,10 @@ def _width(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
         if (value > limit) if code == "kerf.too_hot" else (value < limit):
             row, column = np.unravel_index(k, width.shape)
             speed = float(passed.speed[row, column]) / MM
-            yield Issue(
-                code,
-                f"{op.name}: on {cut.wanted.segment} the wire turns on its way; at {speed:.2f} mm/s, at "
-                f"{_place(passed, int(row), float(WIRE_SHARES[column]))}, it melts {value:.2f} mm "
-                f"and {words}",
-                field="operations.power_w",
-                **measurement(value, limit, "mm"),
-            )
+            what = f"{op.name}: on {cut.wanted.segment} the wire turns on its way; at {speed:.2f} mm/s, at "
+            what += f"{_place(passed, int(row), float(WIRE_SHARES[column]))}, it melts {value:.2f} mm and "
+            what += f"{words}"
+            yield Issue(code, what, field="operations.power_w", **measurement(value, limit, "mm"))
 
 
 def _off(op: Straight, cut: Cut, passed: Melted, why: str = "") -> Iterator[Issue]:
