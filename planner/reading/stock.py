@@ -215,19 +215,13 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
         yield Issue("stock.gripper", what, field=f"{field}.held_by", arm=name)
         return
     if block.mass is None:
-        yield Issue(
-            "stock.foam_missing",
-            f"{field}: the block is held by arm {name}, but its weight is not known; name its foam",
-            field="stock.foam",
-        )
+        what = f"{field}: the block is held by arm {name}, but its weight is not known; name its foam"
+        yield Issue("stock.foam_missing", what, field="stock.foam")
         return
     if block.support or block.pedestal:
-        yield Issue(
-            "problem.field",
-            f"{field}.support: a block that arm {name} holds stands on nothing; give support: [], and "
-            "put what else stands in the cell among its obstacles",
-            field=f"{field}.support",
-        )
+        what = f"{field}.support: a block that arm {name} holds stands on nothing; give support: [], and put "
+        what += "what else stands in the cell among its obstacles"
+        yield Issue("problem.field", what, field=f"{field}.support")
     payload, needed = arm.data.payload, GRIP_FORCE_FACTOR * block.mass * GRAVITY
     if tool.mass + block.mass > payload:
         yield Issue(
@@ -307,8 +301,5 @@ def _foam(wanted: str | FoamReference | None, folder: Path) -> Foam | None:
 
 
 def _unknown_arm(field: str, name: str, known: Mapping[str, Arm]) -> Issue:
-    return Issue(
-        "problem.unknown_arm",
-        f"{field}: '{name}' is not an arm of the cell; it has {', '.join(known)}",
-        field=field,
-    )
+    what = f"{field}: '{name}' is not an arm of the cell; it has {', '.join(known)}"
+    return Issue("problem.unknown_arm", what, field=field)

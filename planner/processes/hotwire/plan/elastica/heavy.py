@@ -223,12 +223,9 @@ def _with_gaps(
 
 
 def _no_equilibrium(index: int, length: float) -> Issue:
-    return Issue(
-        "wire.no_equilibrium",
-        f"wire {index} of {length * 1e3:.4f} mm has no equilibrium between its clamps near the guess",
-        index=index,
-        hint="guess closer to these clamps, or move them in smaller steps",
-    )
+    what = f"wire {index} of {length * 1e3:.4f} mm has no equilibrium between its clamps near the guess"
+    hint = "guess closer to these clamps, or move them in smaller steps"
+    return Issue("wire.no_equilibrium", what, index=index, hint=hint)
 
 
 def extend(shape: HeavyShape, a: FloatArray) -> tuple[FloatArray, FloatArray]:

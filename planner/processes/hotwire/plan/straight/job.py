@@ -189,11 +189,8 @@ def _arms(op: Straight, setup: Setup) -> Iterator[Issue]:
         return
     how = "stands" if holder is None else f"is held by arm {holder}"
     need = "the arm with the bow alone" if holder is None else f"the arm with the bow, then {holder}"
-    yield Issue(
-        "bow.arms",
-        f"{op.name}: arms are {', '.join(op.arms)}, but the block {how} in this setup; name {need}",
-        field="operations.arms",
-    )
+    what = f"{op.name}: arms are {', '.join(op.arms)}, but the block {how} in this setup; name {need}"
+    yield Issue("bow.arms", what, field="operations.arms")
 
 
 def exhibits(op: Straight, bow: Bow, cuts: list[Cut]) -> dict[str, Any]:

@@ -387,12 +387,9 @@ def _along_the_wire(op: Straight, ruled: Ruled, cut: SurfaceCut) -> Iterator[Iss
     if along <= LEAD_ALONG:
         return
     angle, least = (np.degrees(np.arccos(min(value, 1.0))) for value in (along, LEAD_ALONG))
-    yield Issue(
-        "straight.lead",
-        f"{op.name}: lead {list(cut.lead)} of {cut.surface} is {angle:.0f} degrees off the wire; "
-        f"{least:.0f} at least are wanted: give a direction across the wire, or auto",
-        field=cut.surface,
-    )
+    what = f"{op.name}: lead {list(cut.lead)} of {cut.surface} is {angle:.0f} degrees off the wire; "
+    what += f"{least:.0f} at least are wanted: give a direction across the wire, or auto"
+    yield Issue("straight.lead", what, field=cut.surface)
 
 
 def _no_oversize(op: Straight, stock: Stock, side: str) -> Iterator[Issue]:
