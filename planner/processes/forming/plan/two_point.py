@@ -83,13 +83,11 @@ def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -
     if depth[k] <= tolerance:
         return
     x, y, z = (float(value) / MM for value in points[k])
+    what = f"feature {one.feature}: the die stands {depth[k] / MM:.2f} mm in the part at ({x:.1f}, {y:.1f}, "
+    what += f"{z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its unit, or lower it by so much: it "
+    what += "has to leave room for the sheet's thickness"
     yield Issue(
-        "forming.die_gouge",
-        f"feature {one.feature}: the die stands {depth[k] / MM:.2f} mm in the part at ({x:.1f}, {y:.1f}, "
-        f"{z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its unit, or lower it by so much: it "
-        "has to leave room for the sheet's thickness",
-        field="die",
-        **measurement(float(depth[k]) / MM, tolerance / MM, "mm"),
+        "forming.die_gouge", what, field="die", **measurement(float(depth[k]) / MM, tolerance / MM, "mm")
     )
 
 
