@@ -74,9 +74,9 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
     chain = scene.chains[arm]
     count = int((~r.exists[branch]).sum())
     name = targets.name(index)
+    where: dict[str, Any] = {"arm": arm, "index": index, "target": name, "count": count}
     if not r.solved[:, index].any():
         what = f"arm {arm} cannot reach target {name}: "
-        where: dict[str, Any] = {"arm": arm, "index": index, "target": name, "count": count}
         far = _beyond(scene, targets, grid, arm, index)
         if far <= 0.0 and not isinstance(chain.robot.form, OpwParameters):
             what += f"its wrist cannot take the tool's direction there ({chain.robot.title})"
@@ -108,10 +108,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
             bodies=(f"axis {joint + 1}",),
             **measurement(float(limit[best]) / DEG, scene.settings.joint_margin / DEG, "deg"),
             hint=_elsewhere(targets) + _less("joint_margin_deg", float(limit[best])),
-            arm=arm,
-            index=index,
-            target=name,
-            count=count,
+            **where,
         )
     single = float(chain.singularity_margin(q[best]))
     names = ("wrist (axis 5)", "elbow (axis 3)", "shoulder (axis 1)")
@@ -125,10 +122,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
         bodies=(which,),
         **measurement(single / DEG, scene.settings.singularity_margin / DEG, "deg"),
         hint=_elsewhere(targets) + _less("singularity_margin_deg", single),
-        arm=arm,
-        index=index,
-        target=name,
-        count=count,
+        **where,
     )
 
 

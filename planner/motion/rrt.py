@@ -107,15 +107,6 @@ def _around_corner(start: FloatArray, goal: FloatArray, free: Free, step: float)
     return None
 
 
-def way_free(way: FloatArray, free: Free, step: float, sure: Sure | None = None) -> bool:
-    """Whether the straight lines between waypoints (M, D) are free, looked at every ``step``.
-
-    ``sure`` tells of points (B, D) and how far (B, D) the coordinates go from there either way whether (B,)
-    all of that is free for sure; there nothing is looked at, elsewhere halves are asked about.
-    """
-    return not len(blocked_places(way, free, step, sure, every=False).move)
-
-
 @dataclasses.dataclass(frozen=True)
 class Places:
     """Places of a way: on the lines ``move`` (P,) between waypoints, at ``share`` (P,) of them."""
@@ -149,9 +140,12 @@ NOWHERE: Final = Places(np.zeros(0, dtype=np.intp), np.zeros(0))
 def blocked_places(
     way: FloatArray, free: Free, step: float, sure: Sure | None = None, every: bool = True
 ) -> Places:
-    """Where the lines are not free, as :func:`way_free` finds it: all places where looks fail, of which there
-    is one wherever a line is halved, too; or not ``every`` one, but those of the first that do.
+    """Where the straight lines between waypoints (M, D) are not free, looked at every ``step``: all places
+    where looks fail, of which there is one wherever a line is halved, too; or not ``every`` one, but those of
+    the first that do.
 
+    ``sure`` tells of points (B, D) and how far (B, D) the coordinates go from there either way whether (B,)
+    all of that is free for sure; there nothing is looked at, elsewhere halves are asked about.
     A few points take hardly longer than one, so of few pieces their halves are asked about with them, and the
     halves of these; what is found is the same.
     """

@@ -467,7 +467,8 @@ def _at_once(scene: Scene, ways: Ways) -> Ways:
     :data:`MOST_MOVES`; the same ones where there are none."""
     moving = _Moving(scene, {}, ways.order)
     before = sum(travel(way) for way in ways.way.values())
-    found = next((way for way in _candidates(ways) if not len(moving.blocked(way, False).move)), None)
+    tried = (_overlapped(ways, later) for later in LATER)  # at last one after the other
+    found = next((way for way in tried if not len(moving.blocked(way, False).move)), None)
     if found is None:
         return ways
     if len(found) > 2:
@@ -483,13 +484,6 @@ def _at_once(scene: Scene, ways: Ways) -> Ways:
 def _better(moving: _Moving, way: FloatArray, before: FloatArray) -> bool:
     """Whether a way has no more travel than before, and takes no more time."""
     return travel(way) <= travel(before) and moving.pace(way) <= moving.pace(before)
-
-
-def _candidates(ways: Ways) -> Iterator[FloatArray]:
-    """Ways (M, D) of all arms at once, each on its own way, the next arm later and later, at last one after
-    the other."""
-    for later in LATER:
-        yield _overlapped(ways, later)
 
 
 def _overlapped(ways: Ways, later: float) -> FloatArray:

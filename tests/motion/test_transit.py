@@ -15,7 +15,7 @@ from planner.issues import TandemError
 from planner.motion import rrt, shortening, transit
 from planner.motion.operation import plan_operation
 from planner.motion.planning_scene import Scene
-from planner.motion.rrt import connect, way_free
+from planner.motion.rrt import Free, Sure, blocked_places, connect
 from planner.motion.search.ladder_search import Found, search
 from planner.motion.search.reach import sample
 from planner.motion.search.subsampling import subset
@@ -41,6 +41,10 @@ def test_a_tree_finds_the_way_around_a_wall_and_twice_the_same() -> None:
     assert wall(line).all()
     assert np.array_equal(ways[0][0], ends[0])
     assert np.array_equal(ways[0][-1], ends[1])
+
+
+def way_free(way: np.ndarray, free: Free, step: float, sure: Sure | None = None) -> bool:
+    return not len(blocked_places(way, free, step, sure, every=False).move)
 
 
 def test_a_thin_wall_between_two_looks_is_seen_by_the_last_look() -> None:
