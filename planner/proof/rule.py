@@ -49,6 +49,8 @@ class Outcome:
 
 Examine = Callable[[Context], Outcome]
 """The function of a rule."""
+Measure = tuple[float, float, str | None]
+"""What is measured, what is allowed, and the unit in which a person reads both, None for counts."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,6 +89,12 @@ def rule(code: str, *proves: type, stage: Stage = "motion", ahead: str = "") -> 
 def mm(value: float) -> float:
     """Metres as millimetres for messages."""
     return round(value * 1e3, 6)
+
+
+def issue(code: str, message: str, measure: Measure | None = None, **fields: Any) -> Issue:
+    """An issue with what is measured; ``fields`` are others of its fields."""
+    value, limit, unit = measure or (None, None, None)
+    return Issue(code, message, value=value, limit=limit, unit=unit, **fields)
 
 
 def at_step(code: str, message: str, task: TaskText, step: Step | None, hint: str | None = None) -> Issue:
@@ -133,12 +141,12 @@ def at_sample(
     motion: Motion,
     arm: str,
     sample: int,
-    measure: tuple[float, float, str] | None = None,
+    measure: Measure | None = None,
     bodies: tuple[str, ...] = (),
 ) -> Issue:
-    """An issue about an instant of the replayed motion; ``measure`` is value, limit and unit."""
-    issue = at_node(code, message, motion, arm, int(motion.node[sample]))
-    value, limit, unit = measure if measure is not None else (None, None, None)
+    """An issue about an instant of the replayed motion."""
+    found = at_node(code, message, motion, arm, int(motion.node[sample]))
+    value, limit, unit = measure or (None, None, None)
     return dataclasses.replace(
-        issue, time=float(motion.time[sample]), value=value, limit=limit, unit=unit, bodies=bodies
+        found, time=float(motion.time[sample]), value=value, limit=limit, unit=unit, bodies=bodies
     )

@@ -20,7 +20,7 @@ from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError
 from planner.problem import Problem, Settings
 from planner.proof.clearance.samples import (
     DISTANCE_PRECISION,
@@ -35,8 +35,9 @@ from planner.proof.clearance.samples import (
 from planner.proof.context import Context
 from planner.proof.contribution import edges, segments_of
 from planner.proof.facts import Fact
+from planner.proof.findings import Findings, in_mm
 from planner.proof.models import MODELS, Models, Standing, cell_models
-from planner.proof.rule import Outcome, at_sample, mm, rule
+from planner.proof.rule import Outcome, issue, mm, rule
 
 BETWEEN_TARGETS = 1e-3
 """How much less than the wanted clearance is accepted between targets [m], a tenth of it at most."""
@@ -158,12 +159,12 @@ def begin_looks(context: Context) -> Looked:
 def bodies(context: Context) -> Outcome:
     """Robots, tools, block and obstacles keep apart; a bow's wire passes the block where it cuts. Bodies that
     stand are not inside of one another: the block and what bears it, bases, obstacles."""
-    models, issues = context.get(MODELS), list[Issue]()
+    models, findings = context.get(MODELS), Findings("verify.clearance", context)
     for index in range(len(context.setups)):
         for one, other, deep in clearance.overlaps(models(index)):
             what = f"{one} and {other}, which stand still, are {mm(deep):.1f} mm inside of one another"
-            issues.append(Issue("verify.clearance", what, bodies=(one, other), value=-mm(deep), unit="mm"))
-    return _kept("verify.clearance", context, issues)
+            findings.add(what, bodies=(one, other), value=-mm(deep), unit="mm")
+    return _kept(findings, itself=False)
 
 
 @rule("verify.own_clearance", ahead="bodies")
@@ -172,16 +173,16 @@ def own_bodies(context: Context) -> Outcome:
 
     Runs after :func:`bodies`, whose looks come first.
     """
-    return _kept("verify.own_clearance", context, [])
+    return _kept(Findings("verify.own_clearance", context), itself=True)
 
 
-def _kept(code: str, context: Context, issues: list[Issue]) -> Outcome:
+def _kept(findings: Findings, itself: bool) -> Outcome:
     """What the looks of one of both rules find, behind what is wrong already."""
-    itself, models = code == "verify.own_clearance", context.get(MODELS)
+    context, models = findings.context, findings.context.get(MODELS)
     wanted = wanted_of(context.problem.settings, itself)
     limit = accepted(wanted)
-    looked: list[IntArray] = []
-    distance: list[FloatArray] = []
+    looked: list[IntArray] = [np.zeros(0, dtype=np.int64)]
+    distance: list[FloatArray] = [np.zeros(0)]
     pairs: list[tuple[str, str]] = []
     rest = np.inf
     every, begun = context.get(LOOKS)
@@ -189,34 +190,31 @@ def _kept(code: str, context: Context, issues: list[Issue]) -> Outcome:
     for look, there in zip(some, itertools.islice(begun, len(some)), strict=True):
         if there is None:
             what = f"the cell's model has no body {_missing(models(look.index), look.ignore)[0]}"
-            issues.append(Issue(code, what, hint="state the edge of the bow's tool"))
+            findings.add(what, hint="state the edge of the bow's tool")
             continue
         looked.append(look.rows[there.look])
         distance.append(there.least.distance)
         pairs += there.least.pair
         rest = min(rest, there.rest)
-    rows = np.concatenate([*looked, np.zeros(0, dtype=np.int64)])
+    rows = np.concatenate(looked)
     order = np.argsort(rows, kind="stable")
     rows = rows[order]
-    everywhere = np.concatenate([*distance, np.zeros(0)])[order]
+    everywhere = np.concatenate(distance)[order]
     least = clearance.LeastClearance(everywhere, tuple(pairs[i] for i in order))
     for i in np.flatnonzero(~(everywhere >= limit)):
         pair = least.pair[int(i)]
         message = (
             f"{pair[0]} and {pair[1]} come within {mm(everywhere[i]):.2f} mm; allowed: {mm(wanted):.2f} mm"
         )
-        measure = (mm(everywhere[i]), mm(wanted), "mm")
-        arm = _arm_of(context, pair)
-        issues.append(at_sample(code, message, context.motion, arm, int(rows[i]), measure, pair))
+        findings.at_sample(message, _arm_of(context, pair), rows[i], in_mm(everywhere[i], wanted), pair)
+    issues, series = tuple(findings.issues), _series(findings.code, context, rows, least)
     if not len(rows):
-        return Outcome(tuple(issues), nothing="nothing moves", series=_series(code, context, rows, least))
+        return Outcome(issues, nothing="nothing moves", series=series)
     k = least.worst()
-    where = " and ".join(least.pair[k]) if least.pair[k][0] else "nothing near"
-    worst = float(everywhere[k])
+    worst, where = float(everywhere[k]), " and ".join(least.pair[k]) if least.pair[k][0] else "nothing near"
     if rest < worst - DISTANCE_PRECISION:
         worst, where = rest, "a bound; bodies may keep farther apart"
-    found = _series(code, context, rows, least)
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where, series=found)
+    return Outcome(issues, mm(worst), mm(limit), "mm", where, series=series)
 
 
 def _series(code: str, context: Context, rows: IntArray, least: clearance.LeastClearance) -> dict[str, Any]:
@@ -355,23 +353,21 @@ def step_apart(context: Context) -> Outcome:
     found = intervals(context)
     if not len(found.first):
         return Outcome(nothing="the arms never move at once")
-    issues, worst, limit = _drifts(context, found)
+    findings = Findings(STEP_APART, context)
+    _drifts(findings, found)
     models, least = context.get(MODELS), np.inf
     for index in range(len(context.setups)):
         here = context.spans.of_stage[found.stage] == index
         if here.any():
-            wrong, near = _clear(context, models(index), index, found.some(here))
-            issues += wrong
-            least = min(least, near)
+            least = min(least, _clear(findings, models(index), index, found.some(here)))
     where = f"the distance of the TCPs; between the arms at least {mm(least):.3g} mm"
-    return Outcome(tuple(issues), mm(worst), None if limit is None else mm(limit), "mm", where)
+    return dataclasses.replace(findings.outcome(mm, "mm"), where=where)
 
 
-def _drifts(context: Context, found: Intervals) -> tuple[list[Issue], float, float | None]:
-    """Issues of claims on the gap, the largest change [m], and the least that is allowed."""
-    change = drift(context, found)
+def _drifts(findings: Findings, found: Intervals) -> None:
+    """Claims on the gap, the largest change [m], and the least that is allowed."""
+    context, change = findings.context, drift(findings.context, found)
     labels = context.motion.labels(found.last)
-    issues: list[Issue] = []
     limits = []
     for index, setup in enumerate(context.setup_claims):
         here = context.spans.of_stage[found.stage] == index
@@ -385,21 +381,19 @@ def _drifts(context: Context, found: Intervals) -> tuple[list[Issue], float, flo
                     f"one step apart the gap of the tools is off by up to {mm(change[k]):.4f} mm; allowed: "
                     f"{mm(bound.change):g} mm; let the arms meet at more targets, or shorten the moves"
                 )
-                measure = (mm(change[k]), mm(bound.change), "mm")
-                arm, at = bound.arms[0], int(found.last[k])
-                issues.append(at_sample(STEP_APART, what, context.motion, arm, at, measure))
-    return issues, float(change.max()), min(limits, default=None)
+                findings.at_sample(what, bound.arms[0], found.last[k], in_mm(change[k], bound.change))
+    findings.highest(change.max(), limit=min(limits, default=None))
 
 
-def _clear(context: Context, model: CellModel, index: int, found: Intervals) -> tuple[list[Issue], float]:
-    """Issues of clearance between the arms of setup ``index``, and the least that is known [m].
+def _clear(findings: Findings, model: CellModel, index: int, found: Intervals) -> float:
+    """Clearance between the arms of setup ``index``; returns the least that is known [m].
 
     The heads of two tools are left out where they form: the face is between them at any instant of either.
     """
+    context = findings.context
     wanted = context.problem.settings.clearance
     ignore, heads = _others(context, model, index), _heads(context, model)
     form = _forming(context, index, found)
-    issues: list[Issue] = []
     least = np.inf
     for some, pairs in ((found.some(form), ignore | heads), (found.some(~form), ignore)):
         if not len(some.first):
@@ -408,15 +402,13 @@ def _clear(context: Context, model: CellModel, index: int, found: Intervals) -> 
         least = min(least, bound, float(measured.distance.min(initial=np.inf)))
         bad = np.flatnonzero(~(measured.distance >= accepted(wanted)))
         for k in bad[np.argsort(measured.distance[bad])][:_ISSUES_SHOWN].tolist():
-            bodies = measured.pair[k]
+            bodies, near = measured.pair[k], measured.distance[k]
             what = (
-                f"one step apart {bodies[0]} and {bodies[1]} come within {mm(measured.distance[k]):.2f} mm; "
+                f"one step apart {bodies[0]} and {bodies[1]} come within {mm(near):.2f} mm; "
                 f"allowed: {mm(wanted):.2f} mm"
             )
-            measure = (mm(measured.distance[k]), mm(wanted), "mm")
-            arm = _arm_of(context, bodies)
-            issues.append(at_sample(STEP_APART, what, context.motion, arm, int(rows[k]), measure, bodies))
-    return issues, least
+            findings.at_sample(what, _arm_of(context, bodies), rows[k], in_mm(near, wanted), bodies)
+    return least
 
 
 def _arm_of(context: Context, pair: tuple[str, str]) -> str:
@@ -463,16 +455,10 @@ def _nearest(
         if measured + np.count_nonzero(split) > MOST_INSTANT_PAIRS:
             what = (
                 f"clearance of arms one step apart is in doubt at over {MOST_INSTANT_PAIRS} pairs of "
-                "instants, at most so"
+                "instants, at most so many are measured; split the job"
             )
-            raise TandemError(
-                Issue(
-                    "verify.duration",
-                    f"{what} many are measured; split the job",
-                    value=MOST_INSTANT_PAIRS,
-                    limit=MOST_INSTANT_PAIRS,
-                )
-            )
+            measure = MOST_INSTANT_PAIRS, MOST_INSTANT_PAIRS, None
+            raise TandemError(issue("verify.duration", what, measure))
         open_ = _halved(open_[:, split], [rows[split] for rows in middle], (length[0] >= length[1])[split])
     rows = np.concatenate(leaves, axis=1)
     found_near: list[clearance.LeastClearance] = []

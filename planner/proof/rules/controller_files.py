@@ -53,15 +53,8 @@ def controller_files(context: Context) -> Outcome:
         lit = frozenset(signal for signal in signals if signal.lower() in burning)
         faults = find_faults(ControllerPower(context, tasks, signals, lit, partner, files))
         faults += [f"{name}: {fault.message}" for name in files for fault in strange(name, files[name])]
-        issues += [
-            Issue(
-                CONTROLLER_FILES,
-                f"{CONTROLLER}/{folder}: {fault}",
-                file=f"{CONTROLLER}/{folder}",
-                hint=_COPY_HINT,
-            )
-            for fault in faults
-        ]
+        place = f"{CONTROLLER}/{folder}"
+        issues += [Issue(CONTROLLER_FILES, f"{place}: {f}", file=place, hint=_COPY_HINT) for f in faults]
     for folder in there:
         what = f"{CONTROLLER}/{folder} holds files of another job: no program here needs them"
         issues.append(Issue(CONTROLLER_FILES, what, file=f"{CONTROLLER}/{folder}", hint="take them away"))

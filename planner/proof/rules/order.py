@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from planner.claims.claim import FeedWindow
-from planner.issues import Issue
 from planner.proof.context import Context
-from planner.proof.rule import Outcome, at_node, rule
+from planner.proof.findings import Findings
+from planner.proof.rule import Outcome, rule
 
 
 @rule("verify.order", FeedWindow)
 def order(context: Context) -> Outcome:
     """Cuts follow one another as the operations state them, each in one go from its way in to its way out."""
-    issues: list[Issue] = []
+    findings = Findings("verify.order", context)
     motion = context.motion
     setups = context.spans.of_stage[motion.node_stage]
     arm = context.job.tasks[0].arm.name
@@ -25,9 +25,9 @@ def order(context: Context) -> Outcome:
             here = rank.get(label, last)
             if here < last:
                 what = f"{label} is cut behind {before}; it comes first"
-                issues.append(at_node("verify.order", what, motion, arm, int(node)))
+                findings.at_node(what, arm, node)
             last, before = here, label if label in rank else before
-    return Outcome(tuple(issues))
+    return findings.outcome_without_value()
 
 
 def _ranks(context: Context, index: int) -> dict[str, int]:

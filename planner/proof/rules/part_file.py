@@ -21,10 +21,11 @@ from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
 from planner.proof.context import Context
 from planner.proof.contribution import of_processes
+from planner.proof.findings import in_mm, in_percent
 from planner.proof.part_files import Samples, UnreadError, comparison, on_triangles, pose
 from planner.proof.part_files.made import ALL_RULED, Made, MadeSheet, MadeSurfaces, Wanted
 from planner.proof.part_files.surfaces import Surface, stated
-from planner.proof.rule import Outcome, mm, rule
+from planner.proof.rule import Outcome, issue, mm, rule
 
 PART_FILE: Final = "verify.part_file"
 """Code of this rule."""
@@ -82,14 +83,11 @@ def part_file(context: Context) -> Outcome:
         elif part:
             _surfaces(context, part, found)
         elif context.problem.part is not None and context.problem.source:  # else a part of values in Python
-            found.issues.append(
-                Issue(
-                    PART_FILE,
-                    "the problem has a part that its file does not state; state it there, or take the file "
-                    "away (source={}) for a problem of values alone",
-                    field="part",
-                )
+            what = (
+                "the problem has a part that its file does not state; state it there, or take the file "
+                "away (source={}) for a problem of values alone"
             )
+            found.issues.append(Issue(PART_FILE, what, field="part"))
     except UnreadError as error:
         found.issues.append(Issue(PART_FILE, f"{error}; export it anew, or convert it", field="part"))
     return found.outcome()
@@ -142,8 +140,8 @@ def _made(
                 every = [name for own in processes for name in own.names(context) if form.fullmatch(name)]
                 if len(every) != len(ruled):
                     what = f"{len(every)} outlines are cut; the part, read once more, has {len(ruled)}"
-                    count = {"value": len(every), "limit": len(ruled)}
-                    found.issues.append(Issue(PART_FILE, what, field="part.plate", **count))  # type: ignore[arg-type]
+                    count = len(every), len(ruled), None
+                    found.issues.append(issue(PART_FILE, what, count, field="part.plate"))
         for name in every:
             made = [each for own in processes for each in own.made(context, one, name)]
             if not made:
@@ -237,17 +235,15 @@ def _lies_well(surfaces: Sequence[Surface], at: FloatArray, block: FloatArray, f
     """A part whose place is open fits into the block, and a front looks up."""
     front = next((surface for surface in surfaces if surface.name == "front"), None)
     if front is not None and float((front.samples[0].normals @ at[2, :3]).mean()) <= 0.0:
-        found.issues.append(
-            Issue(PART_FILE, "the front, read once more, does not look up", field="part.in_stock")
-        )
+        what = "the front, read once more, does not look up"
+        found.issues.append(Issue(PART_FILE, what, field="part.in_stock"))
     if any(surface.part_of for surface in surfaces):
         return
     low, high = _box(np.concatenate([surface.bound for surface in surfaces]) @ at[:3, :3].T + at[:3, 3])
     out = float((high - low - block).max())
     if out > MOST_STANDING_OUT:
         text = f"the part as it is made, read once more, is {mm(out):.2f} mm larger than the block"
-        measure = {"value": mm(out), "limit": mm(MOST_STANDING_OUT), "unit": "mm"}
-        found.issues.append(Issue(PART_FILE, text, field="part.in_stock", **measure))  # type: ignore[arg-type]
+        found.issues.append(issue(PART_FILE, text, in_mm(out, MOST_STANDING_OUT), field="part.in_stock"))
 
 
 class _Tried:
@@ -302,8 +298,7 @@ class _Told:
             what += f"; row {places.row[k]} at {at} mm in the block is {mm(float(off[k])):.3f} mm off"
         if missed:
             what += f"; nothing comes near {missed} of them"
-        measure = {"value": 100 * self.share, "limit": 100 * self.wanted, "unit": "%"}
-        return Issue(PART_FILE, what, field=self.segment, **measure)  # type: ignore[arg-type]
+        return issue(PART_FILE, what, in_percent(self.share, self.wanted), field=self.segment)
 
 
 def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None:

@@ -7,6 +7,7 @@ joint_acceleration, singularity and tcp_speed.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
@@ -15,17 +16,19 @@ import numpy as np
 from planner.catalogue.robots import RobotData
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError
 from planner.problem import Cell
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep
 from planner.proof.context import Context
+from planner.proof.facts import Fact
+from planner.proof.findings import Findings, degrees, in_degrees, in_mm, percent
 from planner.proof.kinematics import arm_model
 from planner.proof.kinematics.inverse_kinematics import singularity_distance
 from planner.proof.models import MODELS
 from planner.proof.replay.moves import driven_knots
 from planner.proof.replay.tool_speeds import tool_speeds
-from planner.proof.rule import Outcome, at_sample, at_step, mm, rule
+from planner.proof.rule import Outcome, mm, rule
 from planner.proof.rules.setups_and_frames import at_home
 
 JOINT_JUMP = np.deg2rad(8.0)
@@ -43,37 +46,28 @@ _SAMPLES_AT_ONCE = 65_536
 @rule("verify.reach")
 def reach(context: Context) -> Outcome:
     """The arms can go the path that the text states."""
-    issues = [
-        Issue("verify.reach", fault.message, file=fault.task, line=fault.line, index=fault.index)
-        for fault in context.motion.faults
-        if fault.kind in ("reach", "motion")
-    ]
-    return Outcome(tuple(issues))
+    return _faults(context, "verify.reach", ("reach", "motion"))
 
 
 @rule("verify.corner")
 def corners(context: Context) -> Outcome:
     """No zone joins a joint move and a straight one."""
-    issues = [
-        Issue(
-            "verify.corner",
-            fault.message,
-            file=fault.task,
-            line=fault.line,
-            index=fault.index,
-            hint="stop there",
-        )
-        for fault in context.motion.faults
-        if fault.kind == "corner"
-    ]
-    return Outcome(tuple(issues))
+    return _faults(context, "verify.corner", ("corner",), "stop there")
+
+
+def _faults(context: Context, code: str, kinds: tuple[str, ...], hint: str | None = None) -> Outcome:
+    """What the replay could not follow."""
+    findings = Findings(code, context)
+    for fault in context.motion.faults:
+        if fault.kind in kinds:
+            findings.add(fault.message, file=fault.task, line=fault.line, index=fault.index, hint=hint)
+    return findings.outcome_without_value()
 
 
 @rule("verify.continuity")
 def continuity(context: Context) -> Outcome:
     """The joints go on from where they were, from home to home: no jump between samples or moves."""
-    motion = context.motion
-    issues, worst = [], 0.0
+    findings = Findings("verify.continuity", context, worst=0.0)
     for task in context.job.tasks:
         moves = [step for step in task.steps if isinstance(step, MoveStep)]
         edges = zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False)
@@ -82,35 +76,25 @@ def continuity(context: Context) -> Outcome:
         for move, word in edges:
             if not at_home(move, task.arm.data, task.arm.home):
                 what = f"the {word} move of {task.arm.name} does not go home by its joints"
-                issues.append(at_step("verify.continuity", what, task, move))
-    for arm, q in motion.q.items():
+                findings.at_step(what, task, move)
+    for arm, q in context.motion.q.items():
         jumps = np.zeros(max(len(q) - 1, 0), dtype=bool)
         for angle in q.T:  # one at a time: a long motion has many samples
             step = np.abs(np.diff(angle))
-            worst = max(worst, float(np.rad2deg(step.max(initial=0.0))))
+            findings.highest(step.max(initial=0.0))
             jumps |= step > JOINT_JUMP
         for i in np.flatnonzero(jumps)[:20]:
             steps = np.abs(q[i + 1] - q[i])
-            joint = int(np.argmax(steps))
-            message = f"axis {joint + 1} jumps by {np.rad2deg(steps[joint]):.2f} deg between two samples"
-            issues.append(
-                at_sample(
-                    "verify.continuity",
-                    message,
-                    context.motion,
-                    arm,
-                    int(i) + 1,
-                    (float(np.rad2deg(steps[joint])), float(np.rad2deg(JOINT_JUMP)), "deg"),
-                    (f"axis {joint + 1}",),
-                )
-            )
-    return Outcome(tuple(issues), worst, float(np.rad2deg(JOINT_JUMP)), "deg")
+            axis = f"axis {int(np.argmax(steps)) + 1}"
+            message = f"{axis} jumps by {np.rad2deg(steps.max()):.2f} deg between two samples"
+            findings.at_sample(message, arm, i + 1, in_degrees(steps.max(), JOINT_JUMP), (axis,))
+    return findings.outcome(degrees, "deg", JOINT_JUMP)
 
 
 @rule("verify.joint_limits")
 def joint_limits(context: Context) -> Outcome:
     """Every axis stays within its limits."""
-    issues, least, where = [], np.inf, ""
+    findings = Findings("verify.joint_limits", context, worst=np.inf)
     for task in context.job.tasks:
         machine, arm = task.arm.data, task.arm.name
         q = context.motion.q[arm]
@@ -120,35 +104,21 @@ def joint_limits(context: Context) -> Outcome:
         margin = np.concatenate([ends[0] - machine.lower, machine.upper - ends[1]])
         k = int(np.argmin(margin))
         i, joint = int(rows[k]), k % len(machine.lower)
-        if margin[k] < least:
-            least, where = float(margin[k]), f"{arm} axis {joint + 1}"
+        findings.lowest(margin[k], f"{arm} axis {joint + 1}")
         if margin[k] < 0.0:
-            value, limit = (
-                np.rad2deg(q[i, joint]),
-                np.rad2deg((machine.lower if q[i, joint] < 0 else machine.upper)[joint]),
-            )
+            measure = in_degrees(q[i, joint], (machine.lower if q[i, joint] < 0 else machine.upper)[joint])
             message = (
-                f"axis {joint + 1} of {arm} is at {value:.2f} deg; allowed: "
+                f"axis {joint + 1} of {arm} is at {measure[0]:.2f} deg; allowed: "
                 f"{np.rad2deg(machine.lower[joint]):g} to {np.rad2deg(machine.upper[joint]):g}"
             )
-            issues.append(
-                at_sample(
-                    "verify.joint_limits",
-                    message,
-                    context.motion,
-                    arm,
-                    i,
-                    (float(value), float(limit), "deg"),
-                    (f"axis {joint + 1}",),
-                )
-            )
-    return Outcome(tuple(issues), float(np.rad2deg(least)), 0.0, "deg margin", where)
+            findings.at_sample(message, arm, i, measure, (f"axis {joint + 1}",))
+    return findings.outcome(degrees, "deg margin", 0.0)
 
 
 @rule("verify.rod_limits")
 def rod_limits(context: Context) -> Outcome:
     """Parallel-rod arms: the controller's axis 3, serial angle plus axis 2, is within its own limits too."""
-    issues, least = [], np.inf
+    findings = Findings("verify.rod_limits", context, worst=np.inf)
     for task in context.job.tasks:
         machine, arm = task.arm.data, task.arm.name
         if machine.coupling is None:
@@ -156,27 +126,15 @@ def rod_limits(context: Context) -> Outcome:
         axis3 = context.motion.q[arm][:, 1] + context.motion.q[arm][:, 2]
         margin = np.minimum(axis3 - machine.coupling.axis3_lower, machine.coupling.axis3_upper - axis3)
         i = int(np.argmin(margin))
-        least = min(least, float(margin[i]))
+        findings.lowest(margin[i])
         if margin[i] < 0.0:
             low, high = np.rad2deg([machine.coupling.axis3_lower, machine.coupling.axis3_upper])
             message = (
                 f"axis 3 of {arm}, as the controller counts it, is at {np.rad2deg(axis3[i]):.2f} deg; "
                 f"allowed: {low:g} to {high:g}"
             )
-            issues.append(
-                at_sample(
-                    "verify.rod_limits",
-                    message,
-                    context.motion,
-                    arm,
-                    i,
-                    (float(np.rad2deg(axis3[i])), float(high), "deg"),
-                    ("axis 3",),
-                )
-            )
-    if not np.isfinite(least):
-        return Outcome(nothing="no parallel-rod arm")
-    return Outcome(tuple(issues), float(np.rad2deg(least)), 0.0, "deg margin")
+            findings.at_sample(message, arm, i, (degrees(axis3[i]), float(high), "deg"), ("axis 3",))
+    return findings.outcome(degrees, "deg margin", 0.0, nothing="no parallel-rod arm")
 
 
 @rule("verify.joint_speed")
@@ -196,44 +154,39 @@ def joint_acceleration(context: Context) -> Outcome:
 def _rates(
     context: Context, code: str, word: str, rates: Callable[[str, int | slice], FloatArray], unit: str
 ) -> Outcome:
-    issues, worst, where = [], 0.0, ""
+    findings, motion = Findings(code, context, worst=0.0), context.motion
     for task in context.job.tasks:
         machine, arm = task.arm.data, task.arm.name
         limit = machine.velocity if word == "speed" else machine.acceleration
-        over = np.zeros(len(context.motion.time), dtype=bool)
+        over = np.zeros(len(motion.time), dtype=bool)
         for joint in range(len(limit)):  # one at a time: a long motion has many samples
             share = np.abs(rates(arm, joint)) / limit[joint]
-            i = int(np.argmax(share))
-            if share[i] > worst:
-                worst, where = float(share[i]), f"{arm} axis {joint + 1}"
+            findings.highest(np.max(share), f"{arm} axis {joint + 1}")
             over |= share > 1.0
         if task.text.is_trajectory:  # samples may lie beside the peak of a short cubic
             share, line = trajectory_peaks(task, word == "speed")
-            if share > worst:
-                worst, where = share, f"{arm}, line {line}"
+            findings.highest(share, f"{arm}, line {line}")
             if share > 1.0 and not over.any():
                 what = f"between two points a joint of {arm} would need {100.0 * share:.1f} % of its {word}"
-                issues.append(Issue(code, what, arm=arm, line=line, file=min(task.files)))
-        nodes = np.unique(context.motion.node[over])
+                findings.add(what, arm=arm, line=line, file=min(task.files))
+        nodes = np.unique(motion.node[over])
         share = np.abs(rates(arm, slice(None))) / limit if len(nodes) else np.zeros((0, len(limit)))
         for node in nodes[:200]:
-            rows = np.flatnonzero(context.motion.node == node)
+            rows = np.flatnonzero(motion.node == node)
             k = int(rows[np.argmax(share[rows].max(axis=1))])
             axis = int(np.argmax(share[k]))
-            value, most = float(np.rad2deg(share[k, axis] * limit[axis])), float(np.rad2deg(limit[axis]))
+            value, most = degrees(share[k, axis] * limit[axis]), degrees(limit[axis])
             message = (
                 f"axis {axis + 1} of {arm} would need the {word} {value:.1f} {unit}; allowed: {most:.1f}"
             )
-            issues.append(
-                at_sample(code, message, context.motion, arm, k, (value, most, unit), (f"axis {axis + 1}",))
-            )
-    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the limit", where)
+            findings.at_sample(message, arm, k, (value, most, unit), (f"axis {axis + 1}",))
+    return findings.outcome(percent, "% of the limit", 1.0)
 
 
 @rule("verify.singularity")
 def singularity(context: Context) -> Outcome:
     """The arms keep off their singular postures by the problem's margin wherever they move straight."""
-    issues, least, where = [], np.inf, ""
+    findings = Findings("verify.singularity", context, worst=np.inf)
     limit = context.problem.settings.singularity_margin
     for task in context.job.tasks:
         arm = task.arm.name
@@ -244,43 +197,30 @@ def singularity(context: Context) -> Outcome:
         machine, q = arm_model.machine_of(task.arm.data), context.motion.q[arm]
         distance = np.concatenate([singularity_distance(machine, q[part]) for part in parts])
         k = int(np.argmin(distance))
-        if distance[k] < least:
-            least, where = float(distance[k]), arm
+        findings.lowest(distance[k], arm)
         if distance[k] < limit - np.deg2rad(0.05):
-            value = float(np.rad2deg(distance[k]))
+            measure = in_degrees(distance[k], limit)
             message = (
-                f"{arm} comes within {value:.2f} deg of a singular posture; allowed: {np.rad2deg(limit):.2f}"
+                f"{arm} comes within {measure[0]:.2f} deg of a singular posture; allowed: {measure[1]:.2f}"
             )
-            issues.append(
-                at_sample(
-                    "verify.singularity",
-                    message,
-                    context.motion,
-                    arm,
-                    int(rows[k]),
-                    (value, float(np.rad2deg(limit)), "deg"),
-                )
-            )
-    return Outcome(tuple(issues), float(np.rad2deg(least)), float(np.rad2deg(limit)), "deg", where)
+            findings.at_sample(message, arm, rows[k], measure)
+    return findings.outcome(degrees, "deg", limit)
 
 
 @rule("verify.tcp_speed")
 def tcp_speed(context: Context) -> Outcome:
     """The tools move no faster than the problem allows: where the text states the time of a move by what
     follows from it, elsewhere by the speed that it states; on the cubics of trajectories at every instant."""
-    motion = context.motion
-    issues, worst, where = [], 0.0, ""
+    motion, findings = context.motion, Findings("verify.tcp_speed", context, worst=0.0)
     limit = context.problem.settings.tcp_speed
     for task in context.job.tasks:
         arm = task.arm.name
         if task.text.is_trajectory:
             own = tool_speeds(context)[arm]
-            k = int(np.argmax(own.world)) if len(own.world) else 0
-            if len(own.world) and own.world[k] > worst:
-                worst, where = float(own.world[k]), arm
+            findings.highest(own.world.max(initial=0.0), arm)
             for k in np.flatnonzero(own.world > limit * (1.0 + 1e-6))[:20].tolist():
                 message = f"the tool of {arm} moves at up to {mm(own.world[k]):.1f} mm/s; allowed: "
-                issues.append(at_step("verify.tcp_speed", f"{message}{mm(limit):.1f}", task, own.moves[k]))
+                findings.at_step(f"{message}{mm(limit):.1f}", task, own.moves[k])
             continue
         timed = _timed(context)[motion.node[1:]] & (motion.stage[1:] == motion.stage[:-1])
         place, speed = motion.tcp[arm].place, np.zeros(len(timed))
@@ -291,26 +231,24 @@ def tcp_speed(context: Context) -> Outcome:
             speed[some] = np.where(timed[some], step / spent, 0.0)
         if len(speed):
             k = int(np.argmax(speed))
-            if speed[k] > worst:
-                worst, where = float(speed[k]), arm
+            findings.highest(speed[k], arm)
             if speed[k] > TCP_SLACK * limit:
                 message = f"the tool of {arm} moves at {mm(speed[k]):.1f} mm/s; allowed: {mm(limit):.1f}"
-                measure = (mm(speed[k]), mm(limit), "mm/s")
-                issues.append(at_sample("verify.tcp_speed", message, motion, arm, k + 1, measure))
-        for step_ in task.steps:
-            if not isinstance(step_, MoveStep) or step_.time is not None or step_.speed.axes is not None:
+                findings.at_sample(message, arm, k + 1, (mm(speed[k]), mm(limit), "mm/s"))
+        for move in task.steps:
+            if not isinstance(move, MoveStep) or move.time is not None or move.speed.axes is not None:
                 continue
-            stated = step_.velocity if step_.velocity is not None else step_.speed.tcp
+            stated = move.velocity if move.velocity is not None else move.speed.tcp
             if stated > limit * (1.0 + 1e-6):
                 message = f"the move's speed is {mm(stated):g} mm/s; allowed: {mm(limit):g} mm/s"
-                issues.append(at_step("verify.tcp_speed", message, task, step_))
-            if step_.speed.turn > UNTIMED_TURN_RATE:
+                findings.at_step(message, task, move)
+            if move.speed.turn > UNTIMED_TURN_RATE:
                 message = (
-                    f"the tool may turn at {np.rad2deg(step_.speed.turn):g} deg/s in a move without a time; "
+                    f"the tool may turn at {np.rad2deg(move.speed.turn):g} deg/s in a move without a time; "
                     f"allowed: {np.rad2deg(UNTIMED_TURN_RATE):g} deg/s"
                 )
-                issues.append(at_step("verify.tcp_speed", message, task, step_))
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm/s", where)
+                findings.at_step(message, task, move)
+    return findings.outcome(mm, "mm/s", limit)
 
 
 def _timed(context: Context) -> BoolArray:
@@ -328,22 +266,24 @@ def _timed(context: Context) -> BoolArray:
 
 def straight_nodes(context: Context, arm: str) -> BoolArray:
     """Nodes (K,) that the arm reaches by a straight move."""
-    key = f"_straight_{arm}"
-    if key not in context.__dict__:
-        lines = context.motion.node_line[arm]
-        task = next(task for task in context.job.tasks if task.arm.name == arm)
-        flags = np.zeros(len(lines), dtype=bool)
-        place = 0
-        stages = context.motion.node_stage
+    return context.get(_STRAIGHT)[arm]
+
+
+def _straight(context: Context) -> dict[str, BoolArray]:
+    """Nodes (K,) that each arm reaches by a straight move."""
+    stages, out = context.motion.node_stage, {}
+    for task in context.job.tasks:
+        lines = context.motion.node_line[task.arm.name]
+        flags = out[task.arm.name] = np.zeros(len(lines), dtype=bool)
         for number, stage in enumerate(context.job.stages):
-            moves = stage.moves(task.name)
             rows = np.flatnonzero((stages == number) & (lines > 0))
-            for row, move in zip(rows, moves, strict=False):
+            for row, move in zip(rows, stage.moves(task.name), strict=False):
                 flags[row] = not move.by_joints
-            place += len(rows)
-        context.__dict__[key] = flags
-    found: BoolArray = context.__dict__[key]
-    return found
+    return out
+
+
+_STRAIGHT: Final[Fact[Context, dict[str, BoolArray]]] = Fact("straight nodes", _straight)
+"""Nodes (K,) that each arm reaches by a straight move."""
 
 
 def trajectory_peaks(task: TaskText, speed: bool) -> tuple[float, int]:
@@ -381,25 +321,21 @@ TCP_ERROR: Final = 1e-6
 def robot_model(context: Context) -> Outcome:
     """The robots' URDF files are those of arms that the proof can follow, and dimensions and limits that
     the programs were planned with are theirs."""
-    issues: list[Issue] = []
+    findings = Findings(arm_model.ROBOT_MODEL, context)
     cells = [context.problem.cell, *(setup.cell for setup in context.setups)]
     names = {arm.robot: arm.data for cell in cells for arm in cell.arms}
     for name, data in sorted(names.items()):
         try:
             differ = arm_model.differences(arm_model.machine_of(data))
         except TandemError as error:
-            issues += error.issues
+            findings.issues += error.issues
             continue
-        issues += [
-            Issue(arm_model.ROBOT_MODEL, f"the robot {name}: {what}", hint=arm_model.hint_of(data))
-            for what in differ
-        ]
+        for what in differ:
+            findings.add(f"the robot {name}: {what}", hint=arm_model.hint_of(data))
     for given, data in _from_files(context.problem.source, context.problem.cell):
-        issues += [
-            Issue(arm_model.ROBOT_MODEL, f"the robot {data.name}: {what}", hint=arm_model.hint_of(data))
-            for what in arm_model.stated_otherwise(given, data)
-        ]
-    return Outcome(tuple(issues), where=", ".join(sorted(names)))
+        for what in arm_model.stated_otherwise(given, data):
+            findings.add(f"the robot {data.name}: {what}", hint=arm_model.hint_of(data))
+    return findings.outcome_without_value(where=", ".join(sorted(names)))
 
 
 def _from_files(source: Mapping[str, Any], cell: Cell) -> Iterator[tuple[Mapping[str, Any], RobotData]]:
@@ -414,8 +350,8 @@ def _from_files(source: Mapping[str, Any], cell: Cell) -> Iterator[tuple[Mapping
 def kinematics(context: Context) -> Outcome:
     """Drake puts every link where the robots' files do, and so does what bounds the clearance; the tools,
     and the block that one holds, are where the replay has them."""
-    models, issues = context.get(MODELS), list[Issue]()
-    worst, count = 0.0, 0
+    models, findings = context.get(MODELS), Findings("verify.kinematics", context, worst=0.0)
+    count = 0
     total = len(context.sample_setup)
     for index in range(len(context.setups)):
         rows = np.flatnonzero(context.sample_setup == index)
@@ -423,15 +359,14 @@ def kinematics(context: Context) -> Outcome:
             continue
         wanted = max(DRAKE_SAMPLES * len(rows) // total, DRAKE_SAMPLES // 10)
         some = rows[np.unique(np.linspace(0, len(rows) - 1, wanted).astype(np.int64))]
-        found, off = _setup(context, models(index), index, some)
-        issues += found
-        worst, count = max(worst, off), count + len(some)
-    return Outcome(tuple(issues), mm(worst), mm(TCP_ERROR), "mm", f"every link at {count} samples")
+        _setup(context, models(index), index, some, findings)
+        count += len(some)
+    return dataclasses.replace(findings.outcome(mm, "mm", TCP_ERROR), where=f"every link at {count} samples")
 
 
-def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tuple[list[Issue], float]:
+def _setup(context: Context, model: CellModel, index: int, rows: IntArray, findings: Findings) -> None:
     """Bodies of a setup that are elsewhere by one way than by another at samples ``rows`` (K,), each at its
-    worst sample, and how far the replay is off Drake [m]."""
+    worst sample."""
     motion, model = context.motion, model.with_bases(context.ridden(index, rows))
     at_home = {arm.name: np.tile(arm.home, (len(rows), 1)) for arm in model.cell.arms}
     q = at_home | {arm: np.asarray(angles[rows]) for arm, angles in motion.links.items()}
@@ -442,7 +377,6 @@ def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tu
     if held is not None and held.arm in motion.q:
         replayed["stock"], tools["stock"] = context.stock_poses(index, rows), np.eye(4)
     places = {name: drake[name] @ tool for name, tool in tools.items()}
-    issues, worst = [], 0.0
     for words, ours, theirs, limit in (
         ("by the chain of its URDF, and by Drake", _chains(model, q), drake, LINK_ERROR),
         ("by what bounds the clearance, and by Drake", model.poses(q), drake, LINK_ERROR),
@@ -451,13 +385,11 @@ def _setup(context: Context, model: CellModel, index: int, rows: IntArray) -> tu
         for name in sorted(ours.keys() & theirs.keys()):
             off = np.abs(ours[name] - theirs[name]).reshape(len(rows), -1).max(axis=1)
             k = int(np.argmax(np.where(np.isfinite(off), off, np.inf)))
-            worst = max(worst, float(off[k]))
+            findings.highest(off[k])
             if not off[k] <= limit:
                 message = f"{name} is at two places that are {mm(off[k]):.6f} mm apart: {words}"
                 arm = name.split("/")[0] if name.split("/")[0] in motion.q else next(iter(motion.q))
-                sample, measure = int(rows[k]), (mm(off[k]), mm(limit), "mm")
-                issues.append(at_sample("verify.kinematics", message, motion, arm, sample, measure, (name,)))
-    return issues, worst
+                findings.at_sample(message, arm, rows[k], in_mm(off[k], limit), (name,))
 
 
 def _drake(model: CellModel, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

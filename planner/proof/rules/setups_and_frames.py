@@ -25,6 +25,7 @@ from planner.programs.steps import (
     rotation,
 )
 from planner.proof.context import Context
+from planner.proof.findings import Findings, in_mm
 from planner.proof.rule import Outcome, at_step, mm, rule
 from planner.proof.setups import Asked, all_asked, one_line, shown_letters, stays
 from planner.tooling import Tool as WantedTool
@@ -46,7 +47,7 @@ LEAST_LOAD = 0.001
 @rule("verify.tool_data")
 def tool_data(context: Context) -> Outcome:
     """All moves use the tool that their arm has in that setup, with its TCP, mass and centre of gravity."""
-    issues, worst = [], 0.0
+    findings = Findings("verify.tool_data", context, worst=0.0)
     for task in context.job.tasks:
         seen: set[tuple[int, int]] = set()
         for number, stage in enumerate(context.job.stages):
@@ -57,14 +58,12 @@ def tool_data(context: Context) -> Outcome:
                     continue
                 seen.add((index, id(step.tool)))
                 shift, faults = _tool_faults(step.tool, wanted)
-                worst = max(worst, mm(shift))
+                findings.highest(shift)
                 if not step.tool_name:
                     faults.append("it stands in place; moves name their tool")
-                issues += [
-                    at_step("verify.tool_data", f"tool {step.tool_name or '(in place)'}: {fault}", task, step)
-                    for fault in faults
-                ]
-    return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
+                for fault in faults:
+                    findings.at_step(f"tool {step.tool_name or '(in place)'}: {fault}", task, step)
+    return findings.outcome(mm, "mm", FRAME_POSITION)
 
 
 def _tool_faults(tool: Tool, wanted: WantedTool) -> tuple[float, list[str]]:
@@ -88,7 +87,7 @@ def _tool_faults(tool: Tool, wanted: WantedTool) -> tuple[float, list[str]]:
 def work_object(context: Context) -> Outcome:
     """Straight moves are in the world or in the block's frame, which is the same in all tasks of a setup and
     where the problem wants it."""
-    issues, worst = [], 0.0
+    findings = Findings("verify.work_object", context, worst=0.0)
     for index, task, move, wobj in context.work_objects:
         if not wobj.fixed:
             continue  # a frame that moves is for verify.held_frame
@@ -96,31 +95,31 @@ def work_object(context: Context) -> Outcome:
             shift, turn = _apart(wobj.user @ wobj.object, np.eye(4))
             if shift > FRAME_POSITION or turn > FRAME_ANGLE:
                 what = f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off the world"
-                issues.append(at_step("verify.work_object", what, task, move))
+                findings.at_step(what, task, move)
             continue
         if wobj.held or wobj.unit or not move.wobj_name:
             what = f"{move.wobj_name or 'a work object in place'} is held, moved by a unit or has no name"
-            issues.append(at_step("verify.work_object", what, task, move))
+            findings.at_step(what, task, move)
         place = context.places[index]
         shift, turn = _apart(wobj.user @ wobj.object, np.eye(4) if place is None else place)
-        worst = max(worst, mm(shift))
+        findings.highest(shift)
         if shift > FRAME_POSITION or turn > FRAME_ANGLE:
-            message = (
-                f"{move.wobj_name} is {mm(shift):.4f} mm off where the block stands in setup {index + 1}"
-            )
-            issues.append(at_step("verify.work_object", message, task, move))
+            what = f"{move.wobj_name} is {mm(shift):.4f} mm off where the block stands in setup {index + 1}"
+            findings.at_step(what, task, move)
     for index in range(len(context.setups)):
         if context.stock(index).held_by is None:
-            issues += _where_it_stands(context, index)
-    return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
+            _where_it_stands(findings, index)
+    return findings.outcome(mm, "mm", FRAME_POSITION)
 
 
-def _where_it_stands(context: Context, index: int) -> list[Issue]:
+def _where_it_stands(findings: Findings, index: int) -> None:
     """Whether the block's frame in the text is one that the problem allows."""
+    context = findings.context
     stock, place = context.stock(index), context.places[index]
     if place is None:
         what = f"nothing in the programs says where the block stands in setup {index + 1}"
-        return [Issue("verify.work_object", what, hint="state stock.place where no work is in its frame")]
+        findings.add(what, hint="state stock.place where no work is in its frame")
+        return
     wanted = stock.place
     said = "the problem's"
     if wanted is None and index and stays(context.problem, context.setups[index]):
@@ -132,26 +131,25 @@ def _where_it_stands(context: Context, index: int) -> list[Issue]:
                 f"the block's frame in setup {index + 1} is {mm(shift):.4f} mm and "
                 f"{np.rad2deg(turn):.4f} deg off {said}"
             )
-            measure = {"value": mm(shift), "limit": mm(FRAME_POSITION), "unit": "mm"}
-            return [Issue("verify.work_object", message, **measure)]  # type: ignore[arg-type]
+            findings.add(message, in_mm(shift, FRAME_POSITION))
     elif not stock.leans_freely:
         tilt = float(np.linalg.norm((place[:3, :3] @ stock.attitude.T)[2, :] - [0.0, 0.0, 1.0]))
         if tilt > 2.0 * FRAME_ANGLE:
-            message = f"the block leans {np.rad2deg(tilt):.4f} deg off the attitude that the problem gives it"
-            return [Issue("verify.work_object", message)]
-    return []
+            findings.add(
+                f"the block leans {np.rad2deg(tilt):.4f} deg off the attitude that the problem gives it"
+            )
 
 
 @rule("verify.held_frame", HoldsStock)
 def held_frame(context: Context) -> Outcome:
     """Work on a held block is in the frame that its holder's flange carries, in synchronised blocks, and the
     holder itself moves in the world; no other work is."""
-    issues: list[Issue] = []
-    worst = 0.0
+    findings = Findings("verify.held_frame", context, worst=0.0)
     units = {task.arm.name: task.unit for task in context.job.tasks}
     holders = (context.holder(index) for index in range(len(context.setups)))
     lost = sorted({held.arm for held in holders if held is not None} - set(units))
-    issues += [Issue("verify.held_frame", f"{arm} holds the block, but has no program") for arm in lost]
+    for arm in lost:
+        findings.add(f"{arm} holds the block, but has no program")
     for number, stage, task, moves in context.moves():
         index = int(context.spans.of_stage[number])
         held = context.holder(index)
@@ -171,7 +169,7 @@ def held_frame(context: Context) -> Outcome:
             else:
                 tool = context.setups[index].cell.arm(held.arm).tool
                 shift, turn = _apart(wobj.object, tool.tcp)
-                worst = max(worst, mm(shift))
+                findings.highest(shift)
                 if wobj.held:
                     faults.append(f"{move.wobj_name} is held by its own robot")
                 if wobj.unit.lower() != units.get(held.arm, "").lower():
@@ -186,14 +184,15 @@ def held_frame(context: Context) -> Outcome:
                     faults.append(f"the user frame of {move.wobj_name} {what}")
                 if not stage.synchronised:
                     faults.append("work on a held block runs outside a synchronised block")
-            issues += [at_step("verify.held_frame", fault, task, move) for fault in faults]
-    return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
+            for fault in faults:
+                findings.at_step(fault, task, move)
+    return findings.outcome(mm, "mm", FRAME_POSITION)
 
 
 @rule("verify.load", HoldsStock)
 def load(context: Context) -> Outcome:
     """The controller knows the held block's load from its setup's confirmation on until it is let go."""
-    issues: list[Issue] = []
+    findings = Findings("verify.load", context)
     worked = len(context.problem.setups) - 1  # what is held stays so while axes go home behind it
     for task in context.job.tasks:
         name = task.arm.name
@@ -208,20 +207,20 @@ def load(context: Context) -> Outcome:
                     early = bool(asked) and number <= asked[0].stage
                     fault, known = _carried(step, wanted, context.stock(index), index)
                     fault = f"setup {index + 1} is not confirmed yet" if early and wanted else fault
-                    issues += [at_step("verify.load", fault, task, step)] if fault else []
+                    if fault:
+                        findings.at_step(fault, task, step)
                 if isinstance(step, MoveStep):
                     before = bool(asked) and number < asked[0].stage
                     if wanted is not None and known != index and not before:
                         what = f"{name} moves the block of setup {index + 1} without its load"
-                        issues.append(at_step("verify.load", what, task, step, "GripLoad first"))
+                        findings.at_step(what, task, step, "GripLoad first")
                         known = index
                     if wanted is None and known is not None:
                         what = f"{name} still counts with a load that it no longer holds"
-                        issues.append(at_step("verify.load", what, task, step, "GripLoad load0 first"))
+                        findings.at_step(what, task, step, "GripLoad load0 first")
                         known = None
-    return Outcome(
-        tuple(issues), nothing="" if any(s.stock_holders for s in context.setup_claims) else "nothing is held"
-    )
+    held_at_all = any(setup.stock_holders for setup in context.setup_claims)
+    return findings.outcome_without_value("" if held_at_all else "nothing is held")
 
 
 def _carried(step: CarryStep, wanted: HoldsStock | None, stock: Stock, index: int) -> tuple[str, int | None]:
@@ -249,24 +248,24 @@ def _moments(stock: Stock, mass: float) -> FloatArray:
 @rule("verify.base_frames")
 def base_frames(context: Context) -> Outcome:
     """Each task states the base frame that its arm must have, and it is the problem's."""
-    issues, worst = [], 0.0
+    findings = Findings("verify.base_frames", context, worst=0.0)
     for task in context.job.tasks:
         declared = context.declared_bases.get(task.arm.name)
         if declared is None:
             message = f"{task.name} does not state the base frame it was planned for (CONST pose base_frame)"
-            issues.append(Issue("verify.base_frames", message, arm=task.arm.name, file=task.name))
+            findings.at_step(message, task, None)
             continue
         if task.arm.base_auto:
             continue
         shift, turn = _apart(declared, task.arm.base)
-        worst = max(worst, mm(shift))
+        findings.highest(shift)
         if shift > FRAME_POSITION or turn > FRAME_ANGLE:
             message = (
                 f"the base of {task.arm.name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off "
                 "the problem's"
             )
-            issues.append(Issue("verify.base_frames", message, arm=task.arm.name, file=task.name))
-    return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
+            findings.at_step(message, task, None)
+    return findings.outcome(mm, "mm", FRAME_POSITION)
 
 
 def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Final, NamedTuple
 
 from planner.issues import Issue, Severity
@@ -21,6 +21,7 @@ from planner.programs.steps import Fault, MoveStep
 from planner.programs.text import changed, strange
 from planner.proof import language_contribution
 from planner.proof.context import Context
+from planner.proof.findings import Findings
 from planner.proof.language_contribution import checked, job_issues
 from planner.proof.rule import Outcome, rule, target
 
@@ -154,7 +155,12 @@ _OTHERS = _DECLARATION | _PERS | _NAMES | _LINES | _SIZES | _NUMBERS | _FILES
 """Kinds of faults of reading, in any language, by the rule that names them; the rest are of syntax."""
 
 
-def _faults(context: Context, code: str, faults: Iterable[Fault], hint: str) -> Outcome:
+def _faults(context: Context, code: str, kinds: Collection[str], hint: str) -> Outcome:
+    """The faults of reading of some kinds."""
+    return _outcome(code, [fault for fault in context.job.faults if fault.kind in kinds], hint)
+
+
+def _outcome(code: str, faults: Iterable[Fault], hint: str) -> Outcome:
     issues = tuple(
         Issue(code, fault.message, file=fault.file, line=fault.line, field=fault.code, hint=hint)
         for fault in faults
@@ -168,7 +174,7 @@ def syntax(context: Context) -> Outcome:
     job = context.job
     faults = [*(f for f in job.faults if f.kind not in _OTHERS), *job.flow]
     faults += [f for task in job.tasks for file, text in task.files.items() for f in strange(file, text)]
-    found = _faults(context, "verify.syntax", faults, "write the programs again with Tandem")
+    found = _outcome("verify.syntax", faults, "write the programs again with Tandem")
     notes = tuple(
         Issue("verify.syntax", n.message, Severity.WARNING, file=n.file, line=n.line, field=n.code)
         for n in job.notes
@@ -179,15 +185,15 @@ def syntax(context: Context) -> Outcome:
 @rule("verify.declarations")
 def declarations(context: Context) -> Outcome:
     """What is used is declared, of the right type, with a value."""
-    faults = [f for f in context.job.faults if f.kind in _DECLARATION]
-    return _faults(context, "verify.declarations", faults, "declare what is used, with its type and value")
+    return _faults(
+        context, "verify.declarations", _DECLARATION, "declare what is used, with its type and value"
+    )
 
 
 @rule("verify.pers_literal")
 def persistents(context: Context) -> Outcome:
     """PERS data are given literals, and are not shared between tasks, which would let one change another."""
-    faults = [f for f in context.job.faults if f.kind in _PERS]
-    outcome = _faults(context, "verify.pers_literal", faults, "give PERS data a literal")
+    outcome = _faults(context, "verify.pers_literal", _PERS, "give PERS data a literal")
     shared = [i for task in context.job.tasks for i in checked("verify.pers_literal", context, task).issues]
     return dataclasses.replace(outcome, issues=(*outcome.issues, *shared))
 
@@ -195,47 +201,45 @@ def persistents(context: Context) -> Outcome:
 @rule("verify.names")
 def names(context: Context) -> Outcome:
     """Names are legal, not too long and unique."""
-    faults = [f for f in context.job.faults if f.kind in _NAMES]
-    return _faults(context, "verify.names", faults, "a letter first, not too long, no reserved word")
+    return _faults(context, "verify.names", _NAMES, "a letter first, not too long, no reserved word")
 
 
 @rule("verify.line_length")
 def line_lengths(context: Context) -> Outcome:
     """Lines and strings are within what the controller reads."""
-    faults = [f for f in context.job.faults if f.kind in _LINES]
-    return _faults(context, "verify.line_length", faults, "break the line")
+    return _faults(context, "verify.line_length", _LINES, "break the line")
 
 
 @rule("verify.module_size")
 def module_size(context: Context) -> Outcome:
     """Modules are within the problem's limits of bytes and moves."""
-    issues = [
-        Issue("verify.module_size", f.message, file=f.file, line=f.line, hint="split the module")
-        for f in context.job.faults
-        if f.kind in _SIZES
-    ]
-    limit, worst = context.problem.cell.controller.max_moves, 0
+    limit = context.problem.cell.controller.max_moves
+    findings = Findings("verify.module_size", context, worst=0.0)
+    for fault in context.job.faults:
+        if fault.kind in _SIZES:
+            findings.add(fault.message, file=fault.file, line=fault.line, hint="split the module")
     for size in dict.fromkeys(size for task in context.job.tasks for size in task.text.sizes):
-        worst = max(worst, size.moves)
+        findings.highest(size.moves)
         if size.moves > limit:
             message = f"{size.part} has {size.moves} {size.unit}; allowed: {limit}"
-            issues.append(Issue("verify.module_size", message, file=size.file, value=size.moves, limit=limit))
-    return Outcome(tuple(issues), worst, limit, "moves")
+            findings.add(message, (size.moves, limit, None), file=size.file)
+    return findings.outcome(int, "moves", limit)
 
 
 @rule("verify.decimals")
 def decimals(context: Context) -> Outcome:
     """Numbers are such as a controller holds, and quaternions are unit ones; targets that were rounded since
     they were written are told."""
-    issues = [
-        Issue("verify.decimals", f.message, file=f.file, line=f.line, hint="write plain decimals")
-        for f in context.job.faults
-        if f.kind in _NUMBERS
-    ]
-    found = [checked("verify.decimals", context, task) for task in context.job.tasks]
-    issues += [issue for one in found for issue in one.issues]
-    worst = max((one.worst or 0.0 for one in found), default=0.0)
-    return Outcome(tuple(issues), worst, QUATERNION_TOLERANCE, "", summary(context.job))
+    findings = Findings("verify.decimals", context, worst=0.0)
+    for fault in context.job.faults:
+        if fault.kind in _NUMBERS:
+            findings.add(fault.message, file=fault.file, line=fault.line, hint="write plain decimals")
+    for task in context.job.tasks:
+        one = checked("verify.decimals", context, task)
+        findings.issues += one.issues
+        findings.highest(one.worst or 0.0)
+    found = findings.outcome(limit=QUATERNION_TOLERANCE)
+    return dataclasses.replace(found, where=summary(context.job))
 
 
 @rule("verify.files")
@@ -276,7 +280,7 @@ def _named(fault: Fault, shared: tuple[str, ...]) -> str:
 @rule("verify.digest")
 def digest(context: Context) -> Outcome:
     """The programs were written for this very problem."""
-    issues = []
+    findings = Findings("verify.digest", context)
     for task in context.job.tasks:
         text = task.text.digest
         if text != context.problem.digest:
@@ -284,15 +288,8 @@ def digest(context: Context) -> Outcome:
                 f"task {task.name} states the problem {text[:12] or '(none)'}..., "
                 f"this problem is {context.problem.digest[:12]}..."
             )
-            issues.append(Issue("verify.digest", message, file=task.name, hint="plan this problem again"))
-    if issues:
-        issues += [
-            Issue(
-                "verify.digest",
-                f"{name} is not the file that the programs were written for: it has been changed since",
-                file=name,
-                hint="bring the file back, or plan this problem again",
-            )
-            for name in changed(context.problem.source)
-        ]
-    return Outcome(tuple(issues))
+            findings.add(message, file=task.name, hint="plan this problem again")
+    for name in changed(context.problem.source) if findings.issues else ():
+        message = f"{name} is not the file that the programs were written for: it has been changed since"
+        findings.add(message, file=name, hint="bring the file back, or plan this problem again")
+    return findings.outcome_without_value()

@@ -8,6 +8,7 @@ the tool's way, of which each weighs what is farther off less.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,6 +18,7 @@ from planner.issues import Issue
 from planner.programs.stages import TaskText
 from planner.programs.steps import MoveStep
 from planner.proof.context import Context
+from planner.proof.findings import Findings, percent
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, outer_axes
 from planner.proof.replay.motion import differences
 from planner.proof.rule import Outcome, at_node, at_sample, mm, rule
@@ -37,8 +39,7 @@ def track_along(context: Context) -> Outcome:
     """A track that goes along has at each target the value that its law has for where the tool is, with one
     offset for all of an operation, and keeps its range, speed and acceleration everywhere; in KRL it goes no
     faster than the share of its speed that is in force lets it."""
-    issues: list[Issue] = []
-    worst, where = 0.0, ""
+    findings = Findings(_CODE, context, worst=0.0)
     for index, riding in enumerate(context.riding):
         for task in context.job.tasks:
             how = riding.get(task.arm.name)
@@ -49,23 +50,20 @@ def track_along(context: Context) -> Outcome:
             if not len(rows):
                 continue
             astray = list(_off_law(context, index, task, axis, how.axis))
-            issues += astray or _beyond(context, axis, task.arm.name, rows, how.station)
+            findings.issues += astray or _beyond(context, axis, task.arm.name, rows, how.station)
             for word, value, limits in _shares(context, task, axis, rows):
                 share = value / limits
                 k = int(np.argmax(share))
                 limit = float(limits[k])
-                if share[k] > worst:
-                    worst, where = float(share[k]), f"{word} of {axis.unit}"
+                findings.highest(share[k], f"{word} of {axis.unit}")
                 if share[k] > 1.0 + SAME_VALUE and not astray:  # which asks for more than it can besides
                     unit = {"speed": "mm/s", "acceleration": "mm/s^2"}[word]
                     what = f"{axis.unit} would need the {word} {mm(value[k]):.1f} {unit} as it goes along; "
                     what += f"allowed: {mm(limit):g}"
                     what += ", by its $VEL_EXTAX" if limit < axis.speed and word == "speed" else ""
-                    measure = (mm(value[k]), mm(limit), unit)
-                    sample, arm = int(rows[k]), task.arm.name
-                    issues.append(at_sample(_CODE, what, context.motion, arm, sample, measure))
-    nothing = "" if where else "no track goes along"
-    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the limit", where, nothing)
+                    findings.at_sample(what, task.arm.name, rows[k], (mm(value[k]), mm(limit), unit))
+    found = findings.outcome(percent, "% of the limit", 1.0)
+    return dataclasses.replace(found, nothing="" if found.where else "no track goes along")
 
 
 def _shares(

@@ -9,6 +9,7 @@ import numpy as np
 from planner.programs.stages import TaskText
 from planner.programs.steps import UNUSED_AXIS, JointTarget, MoveStep, RobTarget, SettingStep
 from planner.proof.context import Context
+from planner.proof.findings import Findings
 from planner.proof.kinematics.external_axes import outer_axes
 from planner.proof.rule import Outcome, at_step, mm
 from planner.proof.rules.moves import (
@@ -68,7 +69,7 @@ def _stated(move: MoveStep) -> list[str]:
 
 def move_kinds(context: Context, task: TaskText) -> Outcome:
     """Moves whose path is not known, and the state of ConfL (verify.move_kinds)."""
-    issues = []
+    findings = Findings("verify.move_kinds", context)
     axes = outer_axes(task.arm, context.problem.cell.turntable)
     wanted = "off" if task.arm.data.unnamed else "on"
     state = "on"
@@ -79,19 +80,17 @@ def move_kinds(context: Context, task: TaskText) -> Outcome:
         if not isinstance(step, MoveStep):
             continue
         if step.kind == "MoveJ":
-            issues.append(
-                at_step("verify.move_kinds", "the path of MoveJ is not known; use MoveL", task, step)
-            )
+            findings.at_step("the path of MoveJ is not known; use MoveL", task, step)
         for switch in step.switches:
             if switch in _REFUSED_OPTIONS:
-                issues += [at_step("verify.move_kinds", _REFUSED_OPTIONS[switch], task, step)]
+                findings.at_step(_REFUSED_OPTIONS[switch], task, step)
         used = np.abs(step.target.external - UNUSED_AXIS) > 1e3  # in single precision 9E9 is off by 512
         if isinstance(step.target, RobTarget | JointTarget) and not axes and used.any():
-            issues.append(at_step("verify.move_kinds", "the target moves an external axis", task, step))
+            findings.at_step("the target moves an external axis", task, step)
         if step.kind == "MoveL" and (state != wanted or not stated):
             message = (
                 f"ConfL is {state if stated else 'not stated'}; this arm needs ConfL\\{wanted.capitalize()}"
             )
-            issues.append(at_step("verify.move_kinds", message, task, step))
+            findings.at_step(message, task, step)
             break
-    return Outcome(tuple(issues))
+    return findings.outcome_without_value()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import PurePosixPath
 
 from planner.claims.claim import powers as claimed_powers
-from planner.issues import Issue
 from planner.languages.rapid.reader.program_text import RapidText, modules_of
-from planner.languages.rapid.reader.syntax_tree import Module
+from planner.languages.rapid.reader.syntax_tree import Module, Procedure
 from planner.programs.stages import TaskText, sync_points
 from planner.programs.steps import (
     LoadStep,
@@ -20,6 +20,7 @@ from planner.programs.steps import (
     WaitStep,
 )
 from planner.proof.context import Context
+from planner.proof.findings import Findings
 from planner.proof.rule import Outcome, rule
 
 UNDO_RULE = "verify.undo"
@@ -31,28 +32,37 @@ def undo(context: Context) -> Outcome:
     """Where a task switches power or opens synchronised blocks, every procedure has an UNDO that switches the
     power off first and leaves the block, whichever of the called ones the program pointer is moved out of;
     KRL and URScript have none."""
-    issues = []
+    findings = Findings(UNDO_RULE, context)
     wanted = False
+    hint = "switch the power off, then SyncMoveUndo, in UNDO of every procedure"
     for task in context.job.tasks:
         signals, blocks = powers(context, task), _blocks(task)
         wanted |= bool(signals or blocks) and isinstance(task.text, RapidText)
-        for module in modules_of(task.text):
-            for procedure in module.procedures:
-                steps = task.undos.get((module.name, procedure.name))
-                faults = _faults(steps, signals, blocks)
-                issues += [
-                    Issue(
-                        UNDO_RULE,
-                        f"UNDO of {procedure.name}: {fault}",
-                        arm=task.arm.name,
-                        file=f"{task.name}/{module.name}",
-                        line=procedure.line,
-                        field=procedure.name,
-                        hint="switch the power off, then SyncMoveUndo, in UNDO of every procedure",
-                    )
-                    for fault in faults
-                ]
-    return Outcome(tuple(issues), nothing="" if wanted else "no power and no block")
+        for module, procedure in _procedures(task):
+            faults = _faults(task.undos.get((module.name, procedure.name)), signals, blocks)
+            _add(findings, task, module, procedure, [f"UNDO of {procedure.name}: {f}" for f in faults], hint)
+    return findings.outcome_without_value("" if wanted else "no power and no block")
+
+
+def _procedures(task: TaskText) -> Iterator[tuple[Module, Procedure]]:
+    """All procedures of a task, each with its module."""
+    for module in modules_of(task.text):
+        for procedure in module.procedures:
+            yield module, procedure
+
+
+def _add(
+    findings: Findings,
+    task: TaskText,
+    module: Module,
+    procedure: Procedure,
+    faults: Iterable[str],
+    hint: str | None = None,
+) -> None:
+    """Add issues about a procedure."""
+    file = f"{task.name}/{module.name}"
+    for what in faults:
+        findings.add(what, arm=task.arm.name, file=file, line=procedure.line, field=procedure.name, hint=hint)
 
 
 def powers(context: Context, task: TaskText) -> list[str]:
@@ -100,41 +110,24 @@ def error_handler(context: Context) -> Outcome:
     """Every procedure has an error handler that switches the power off first, stops the motion, says so,
     stops all tasks, and does not go on; it switches no track or table on or off; KRL and URScript have
     none."""
-    issues = []
+    findings = Findings("verify.error_handler", context)
     many = len(context.job.tasks) > 1 and context.job.readings is None
     for task in context.job.tasks:
         signals = powers(context, task)
-        for module in modules_of(task.text):
-            for procedure in module.procedures:
-                handler = task.handlers.get((module.name, procedure.name))
-                faults = ["it has none"] if handler is None else _handler_faults(handler, signals, many)
-                issues += [
-                    Issue(
-                        "verify.error_handler",
-                        f"error handler of {procedure.name}: {fault}",
-                        arm=task.arm.name,
-                        file=f"{task.name}/{module.name}",
-                        line=procedure.line,
-                        field=procedure.name,
-                    )
-                    for fault in faults
-                ]
-    return Outcome(tuple(issues))
+        for module, procedure in _procedures(task):
+            handler = task.handlers.get((module.name, procedure.name))
+            faults = ["it has none"] if handler is None else _handler_faults(handler, signals, many)
+            told = [f"error handler of {procedure.name}: {fault}" for fault in faults]
+            _add(findings, task, module, procedure, told)
+    return findings.outcome_without_value()
 
 
 def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> list[str]:
-    faults = []
     head = [s for s in steps if not isinstance(s, MessageStep) or s.confirm][: len(signals)]
-    off = {
-        s.signal.lower()
-        for s in head
-        if isinstance(s, SignalStep) and not (s.value or s.condition or s.delay)
-    }
-    faults += [
-        f"it does not switch {signal} off before anything else"
-        for signal in signals
-        if signal.lower() not in off
-    ]
+    signs = [s for s in head if isinstance(s, SignalStep)]
+    off = {s.signal.lower() for s in signs if not (s.value or s.condition or s.delay)}
+    left = [signal for signal in signals if signal.lower() not in off]
+    faults = [f"it does not switch {signal} off before anything else" for signal in left]
     if any(isinstance(step, SignalStep) and step.value for step in steps):
         faults.append("it switches something on")
     if any(isinstance(step, MoveStep | LoadStep) for step in steps):
@@ -165,25 +158,16 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> 
 
 def hidden(context: Context, task: TaskText) -> Outcome:
     """Attributes of modules, and procedures that nothing calls (verify.hidden)."""
-    issues = []
+    findings, arm = Findings("verify.hidden", context), task.arm.name
     for module in modules_of(task.text):
-        issues += [
-            Issue(
-                "verify.hidden",
-                f"module {module.name} is {word.upper()}: {_REFUSED_ATTRIBUTES[word]}",
-                arm=task.arm.name,
-                file=module.file,
-                hint="take the attribute out",
-            )
-            for word in (*module.attributes, *_system(module))
-        ]
+        for word in (*module.attributes, *_system(module)):
+            what = f"module {module.name} is {word.upper()}: {_REFUSED_ATTRIBUTES[word]}"
+            findings.add(what, arm=arm, file=module.file, hint="take the attribute out")
         for procedure in module.procedures:
             if (module.name, procedure.name) not in task.called:
-                what, place = f"{module.name}:{procedure.name} is never called", f"{task.name}/{module.name}"
-                issues.append(
-                    Issue("verify.hidden", what, arm=task.arm.name, file=place, line=procedure.line)
-                )
-    return Outcome(tuple(issues))
+                what, file = f"{module.name}:{procedure.name} is never called", f"{task.name}/{module.name}"
+                findings.add(what, arm=arm, file=file, line=procedure.line)
+    return findings.outcome_without_value()
 
 
 def _system(module: Module) -> tuple[str, ...]:
@@ -193,16 +177,8 @@ def _system(module: Module) -> tuple[str, ...]:
 
 def hidden_signals(context: Context, task: TaskText) -> Outcome:
     """Data that hide signals of the controller (verify.signals)."""
-    return Outcome(
-        tuple(
-            Issue(
-                "verify.signals",
-                f"{data.name} hides a signal of the controller",
-                file=task.name,
-                line=data.line,
-            )
-            for module in modules_of(task.text)
-            for data in module.data
-            if data.kind.startswith("signal")
-        )
-    )
+    findings = Findings("verify.signals", context)
+    for data in (data for module in modules_of(task.text) for data in module.data):
+        if data.kind.startswith("signal"):
+            findings.add(f"{data.name} hides a signal of the controller", file=task.name, line=data.line)
+    return findings.outcome_without_value()

@@ -34,7 +34,8 @@ from planner.processes.forming.proof.face import CREASE_ANGLE
 from planner.processes.forming.proof.shapes import FLAT_NOISE, Feature, PartShapes, Shape, spread_over
 from planner.processes.forming.proof.state import FORMING
 from planner.proof.context import Context
-from planner.proof.rule import Outcome, mm, rule
+from planner.proof.findings import Findings, coordinates, in_percent, percent
+from planner.proof.rule import Measure, Outcome, issue, mm, rule
 
 FORMING_CLAIMS = "verify.forming_claims"
 """Code of this rule."""
@@ -81,31 +82,32 @@ _PART_PLACES = 8_000
 def forming_claims(context: Context) -> Outcome:
     """What is claimed of each pass follows from the part and the user's numbers: tools, gaps by the sine law,
     borders, feeds, tolerances, ridges, steps of a clamp, and all of the sheet that tools may meet."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, where = -np.inf, ""
+    forming, findings = context.get(FORMING), Findings(FORMING_CLAIMS, context)
     for made, group in forming.parts:
         if made is None or not made.own:
             continue
-        issues += _numbers(made.part, group)
+        findings.issues += _numbers(made.part, group)
         nowhere = [feature for _, feature in made.own if not len(feature.final.rim)]
         if nowhere:  # nothing can be said of what is about it
             segment = nowhere[0].final.claim.segment
-            issues.append(Issue(FORMING_CLAIMS, f"{segment} begins nowhere on the sheet", field=str(segment)))
+            findings.issues.append(_issue(f"{segment} begins nowhere on the sheet", segment))
             continue
         for claim in group:
             if isinstance(claim, ToolGap):
                 off, found = _gap(made, claim)
-                issues += found
-                if off > worst:
-                    worst, where = off, str(claim.segment)
-        issues += _all_there(made.part, made, group)
-        issues += _states(made, group)
+                findings.issues += found
+                findings.highest(off, claim.segment)
+        findings.issues += _all_there(made.part, made, group)
+        findings.issues += _states(made, group)
     if not forming.parts:
-        return Outcome(tuple(issues), nothing=NO_PART)
-    if not np.isfinite(worst):
-        return Outcome(tuple(issues))
-    return Outcome(tuple(issues), 100.0 * worst, 100.0 * GAP, "% of the thickness", where)
+        return findings.outcome_without_value(NO_PART)
+    if not np.isfinite(findings.worst):
+        return findings.outcome_without_value()
+    return findings.outcome(percent, "% of the thickness", GAP)
+
+
+def _issue(what: str, segment: Segment, measure: Measure | None = None) -> Issue:
+    return issue(FORMING_CLAIMS, what, measure, field=str(segment))
 
 
 _PASS_CLAIMS = (
@@ -152,7 +154,7 @@ def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
             wrong += ["pulse"] if claim.pulse < LEAST_PULSE - ROUNDING else []
         for name in wrong:
             what = f"{claim.segment}: {name} of {type(claim).__name__} is not what the problem states"
-            yield Issue(FORMING_CLAIMS, what, field=str(claim.segment))
+            yield _issue(what, claim.segment)
 
 
 def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
@@ -221,12 +223,12 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
     shapes, mine = _shapes_to(made, claim.segment)
     if mine is None:
         what = f"the gap of {claim.segment} is that of no pass"
-        return np.inf, [Issue(FORMING_CLAIMS, what, field=str(claim.segment))]
+        return np.inf, [_issue(what, claim.segment)]
     corners = claim.vertices[claim.faces]
     same = np.abs(corners - mine.corners).max() < ROUNDING if len(corners) == len(mine.corners) else False
     if not same:
         what = f"the gap of {claim.segment} is that of another face"
-        return np.inf, [Issue(FORMING_CLAIMS, what, field=str(claim.segment))]
+        return np.inf, [_issue(what, claim.segment)]
     smooth = _up(mine)
     low = high = smooth
     plan = corners.reshape(-1, 3)[:, :2]
@@ -255,10 +257,7 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
     what = (
         f"the gap of {claim.segment} is {100 * worst:.2f} % of the sheet's thickness off squeeze * t0 cos(a)"
     )
-    limit = 100 * allowed
-    return worst, [
-        Issue(FORMING_CLAIMS, what, field=str(claim.segment), value=100 * worst, limit=limit, unit="%")
-    ]
+    return worst, [_issue(what, claim.segment, in_percent(worst, allowed))]
 
 
 def _shapes_to(made: PartShapes, segment: Segment) -> tuple[tuple[Shape, ...], Shape | None]:
@@ -313,7 +312,7 @@ def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Ite
                     found = [c for c in own if type(c) is kind]
                     if len(found) != int(needed):
                         what = f"{one.segment} has {len(found)} claims {kind.__name__}; wanted: {int(needed)}"
-                        yield Issue(FORMING_CLAIMS, what, field=str(one.segment))
+                        yield _issue(what, one.segment)
         for claim in group:
             if isinstance(claim, SupportsBorder) and _is_of(feature, claim.segment):
                 yield from _border(part, feature, claim)
@@ -322,11 +321,7 @@ def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Ite
             if isinstance(claim, SinksHolder) and _is_of(feature, claim.segment):
                 one = feature.shapes[0].claim
                 if _differ(claim, start=one.start, end=one.end, side=one.side):
-                    yield Issue(
-                        FORMING_CLAIMS,
-                        f"{claim.segment}: the clamp sinks between other levels",
-                        field=str(claim.segment),
-                    )
+                    yield _issue(f"{claim.segment}: the clamp sinks between other levels", claim.segment)
     if part.sinking is not None and not any(isinstance(c, SinksHolder) for c in group):
         yield Issue(FORMING_CLAIMS, "nothing says how the clamp sinks", field="die")
 
@@ -358,11 +353,7 @@ def _border(part: FormsPart, feature: Feature, claim: SupportsBorder) -> Iterato
     if claim.arm != part.arms[arm] or claim.tolerance > MOST_OFF_BORDER + ROUNDING:
         wrong.append("of another tool or tolerance")
     for what in wrong:
-        yield Issue(
-            FORMING_CLAIMS,
-            f"the way of the support about {claim.segment} is {what}",
-            field=str(claim.segment),
-        )
+        yield _issue(f"the way of the support about {claim.segment} is {what}", claim.segment)
 
 
 LEVEL_ERROR = 1e-5
@@ -390,11 +381,7 @@ def _opposite(part: FormsPart, feature: Feature, claim: FollowsOpposite) -> Iter
         and claim.tolerance <= MOST_HEAT_ASIDE + ROUNDING
     )
     if not (good and same and claim.side == own[0].claim.side):
-        yield Issue(
-            FORMING_CLAIMS,
-            f"the source of heat for {claim.segment} is not at the sheet",
-            field=str(claim.segment),
-        )
+        yield _issue(f"the source of heat for {claim.segment} is not at the sheet", claim.segment)
 
 
 def _states(made: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
@@ -471,6 +458,6 @@ def _told(
         far = np.full(len(both), np.inf) if not len(got) else np.asarray(cKDTree(got).query(both)[0])
         k = int(np.argmax(far))
         if far[k] > STATE_SPACING:
-            at = ", ".join(f"{mm(x):.1f}" for x in both[k])
-            what = f"in {state.segment} nothing tells tools of the sheet at ({at}) mm, which {kind}"
-            yield Issue(FORMING_CLAIMS, what, field=str(state.segment))
+            at = f"({coordinates(both[k])}) mm"
+            what = f"in {state.segment} nothing tells tools of the sheet at {at}, which {kind}"
+            yield _issue(what, state.segment)

@@ -18,7 +18,8 @@ from planner.processes.forming.proof import loop_walls, springback_file
 from planner.processes.forming.proof.level import OneLevel
 from planner.processes.forming.proof.state import FORMING, Formed, Forming
 from planner.proof.context import Context
-from planner.proof.rule import Outcome, at_sample, mm, rule
+from planner.proof.findings import Findings, in_mm
+from planner.proof.rule import Measure, Outcome, at_sample, issue, mm, rule
 
 CODE = "verify.level"
 """Code of this rule."""
@@ -36,33 +37,29 @@ def level(context: Context) -> Outcome:
     """One level alone is formed, the one that the problem states, between its heights; tools are deeper by
     what its file says, which is of this job and level, within the problem's limits, begins where the level
     before ended, and makes no wall steeper from there than the metal stands."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = list(_claimed(context, forming))
-    worst, limit, where = 0.0, None, ""
+    forming, findings = context.get(FORMING), Findings(CODE, context)
+    findings.issues += _claimed(context, forming)
     for one in forming.levels:
         found = [*_stated(one)]
         found += [*_file(context, one)] if not found else []
         made = next((f for f in forming.formed if f.setup == one.index and f.claim is one.sheet), None)
         if made is None:
-            issues += [*found, _issue(one, f"{one.claim.segment} is not formed")]
+            findings.issues += [*found, _issue(one, f"{one.claim.segment} is not formed")]
             continue
         if not found:
             off, beyond = _heights(context, one, made)
             walls = loop_walls.of_level(made, one)
             steep = loop_walls.too_steep(CODE, context, forming, made, walls)
             found = [*beyond, *_way(context, one, made), *steep]
-            if limit is None or off > worst:
-                worst, limit, where = off, mm(OFF_STEP * one.step), str(one.claim.segment)
-        issues += found
-    if limit is None:
-        return Outcome(tuple(issues), nothing="" if issues else NOTHING)
-    return Outcome(tuple(issues), mm(worst), limit, "mm beyond its heights", where)
+            findings.highest(off, one.claim.segment, OFF_STEP * one.step)
+        findings.issues += found
+    if not findings.measured:
+        return findings.outcome_without_value("" if findings.issues else NOTHING)
+    return findings.outcome(mm, "mm beyond its heights")
 
 
-def _issue(
-    one: OneLevel, what: str, got: float | None = None, limit: float | None = None, unit: str | None = None
-) -> Issue:
-    return Issue(CODE, f"{one.claim.operation}: {what}", field="level", value=got, limit=limit, unit=unit)
+def _issue(one: OneLevel, what: str, measure: Measure | None = None) -> Issue:
+    return issue(CODE, f"{one.claim.operation}: {what}", measure, field="level")
 
 
 def _claimed(context: Context, forming: Forming) -> Iterator[Issue]:
@@ -86,10 +83,10 @@ def _stated(one: OneLevel) -> Iterator[Issue]:
         yield _issue(one, f"{one.claim.segment} is formed; wanted is a level of {name}")
     elif stated.number >= one.count:
         what = f"{one.claim.segment} has levels 0 to {one.count - 1}, not {stated.number}"
-        yield _issue(one, what, float(stated.number), float(one.count - 1))
+        yield _issue(one, what, (float(stated.number), float(one.count - 1), None))
     elif stated.number == 0 and stated.before_mm > 0.0:
         what = f"the first level begins with a shift of {stated.before_mm:g} mm, as if one were before it"
-        yield _issue(one, what, float(stated.before_mm), 0.0, "mm")
+        yield _issue(one, what, (float(stated.before_mm), 0.0, "mm"))
 
 
 def _file(context: Context, one: OneLevel) -> Iterator[Issue]:
@@ -108,7 +105,7 @@ def _file(context: Context, one: OneLevel) -> Iterator[Issue]:
     first = float(stated.before_mm) * MM
     for what, got, limit, unit in given.way.faults(float(stated.slope), float(stated.most_mm) * MM, first):
         told = f"its file has {what}: {got:.4g} {unit}; allowed: {limit:g}"
-        yield _issue(one, told, got, limit, unit)
+        yield _issue(one, told, (got, limit, unit))
 
 
 def _heights(context: Context, one: OneLevel, made: Formed) -> tuple[float, list[Issue]]:
@@ -124,11 +121,9 @@ def _heights(context: Context, one: OneLevel, made: Formed) -> tuple[float, list
     if depth.max() < end - most or (one.operation.path == "helical" and depth.min() > begin + most):
         what = (
             f"level {one.operation.level.number} of {claim.segment} goes from {mm(begin):g} to {mm(end):g} "
-        )
-        what += (
             f"mm below the flat; formed is {mm(float(depth.min())):.3f} to {mm(float(depth.max())):.3f} mm"
         )
-        return 0.0, [_issue(one, what, mm(float(depth.max())), mm(end), "mm")]
+        return 0.0, [_issue(one, what, in_mm(depth.max(), end))]
     beyond = np.maximum(begin - depth, depth - end)
     k = int(np.argmax(beyond))
     off = max(float(beyond[k]), 0.0)
@@ -139,7 +134,7 @@ def _heights(context: Context, one: OneLevel, made: Formed) -> tuple[float, list
         f"flat; the ball forms {mm(float(depth[k])):.3f} mm below it"
     )
     row = int(made.track.rows[made.knots[near.row[use][k]]])
-    return off, [at_sample(CODE, what, context.motion, claim.arm, row, (mm(off), mm(most), "mm"))]
+    return off, [at_sample(CODE, what, context.motion, claim.arm, row, in_mm(off, most))]
 
 
 def _way(context: Context, one: OneLevel, made: Formed) -> Iterator[Issue]:
@@ -153,5 +148,5 @@ def _way(context: Context, one: OneLevel, made: Formed) -> Iterator[Issue]:
     k = int(np.argmax(aside))
     if aside[k] > WAY_OFF:
         what = f"{made.claim.arm} is {mm(float(aside[k])):.3f} mm off the way of the level's file"
-        measure = (mm(float(aside[k])), mm(WAY_OFF), "mm")
-        yield at_sample(CODE, what, context.motion, made.claim.arm, int(made.track.rows[k]), measure)
+        row, measure = int(made.track.rows[k]), in_mm(aside[k], WAY_OFF)
+        yield at_sample(CODE, what, context.motion, made.claim.arm, row, measure)

@@ -17,8 +17,9 @@ from planner.processes.forming.claims import FormsPart, FormsSheet
 from planner.processes.forming.proof.shapes import Feature, PartShapes, Shape, in_order
 from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
+from planner.proof.findings import Findings, coordinates, in_degrees, in_mm, in_percent
 from planner.proof.part_files.sheets import SLOPE_STEP, scatter, together, tolerance_of
-from planner.proof.rule import Outcome, mm, rule
+from planner.proof.rule import Measure, Outcome, issue, mm, rule
 
 FORMING_PART = "verify.forming_part"
 """Code of this rule."""
@@ -65,38 +66,33 @@ def forming_part(context: Context) -> Outcome:
     """The faces of all passes, of all operations that form some features of it, together make the part and
     nothing else; each feature is formed by the tool on its side, from the level at which the sheet is then,
     in the wanted order, through shapes in between that are as steep as wanted and never beyond the part."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, FACE_ERROR, ""
+    forming, findings = context.get(FORMING), Findings(FORMING_PART, context)
     last = next((made for made, _ in reversed(forming.parts) if made is not None), None)
-    issues += _once(forming)
+    findings.issues += _once(forming)
     for made, group in forming.parts:
         if made is None:
             for claim in in_order(group):
                 what = f"nothing says of what part {claim.segment} is a face"
-                issues.append(Issue(FORMING_PART, what, field=str(claim.segment)))
+                findings.add(what, field=str(claim.segment))
             continue
         if not made.own:
-            issues.append(Issue(FORMING_PART, "the part is never formed", field="part"))
+            findings.add("the part is never formed", field="part")
             continue
-        issues += _tolerance(context, made)
+        findings.issues += _tolerance(context, made)
         if made.part.features is None or made is last:
             off, found = _whole(made) if made.part.mesh_tolerance == 0.0 else _whole_of_noisy(made)
-            if off > worst:
-                worst, where = off, str(made.features[0].final.claim.segment)
-                limit = FACE_ERROR + made.part.mesh_tolerance
-            issues += found
-            issues += [] if made.part.features is None else _numbering(made)
+            limit = FACE_ERROR + made.part.mesh_tolerance
+            findings.highest(off, made.features[0].final.claim.segment, limit)
+            findings.issues += found
+            findings.issues += [] if made.part.features is None else _numbering(made)
         for k, feature in made.own:
-            issues += _side(made, k, feature)
-            issues += _level(made, k, feature)
-            issues += _between(made.part, feature)
-        issues += _order(made)
+            findings.issues += _side(made, feature)
+            findings.issues += _level(made, k, feature)
+            findings.issues += _between(made.part, feature)
+        findings.issues += _order(made)
         if made.part.features is not None or len(made.own) > 1:
-            issues += _stands_out(context, made)
-    if not np.isfinite(worst):
-        return Outcome(tuple(issues), nothing=NO_PART)
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
+            findings.issues += _stands_out(context, made)
+    return findings.outcome(mm, "mm", nothing=NO_PART)
 
 
 def _once(forming: Forming) -> Iterator[Issue]:
@@ -131,11 +127,10 @@ def _stands_out(context: Context, made: PartShapes) -> Iterator[Issue]:
         for one in planes:
             off = np.minimum(off, (points @ one[:, :3].T + one[:, 3]).max(axis=1))
         if len(off) and float(off.max()) > STANDS_OUT:
-            at = ", ".join(f"{mm(x):.1f}" for x in points[int(off.argmax())])
             what = (
                 f"once {feature.final.claim.segment} is formed the sheet stands out of the solids, of which "
+                f"alone bodies keep clear, at ({coordinates(points[int(off.argmax())])}) mm"
             )
-            what += f"alone bodies keep clear, at ({at}) mm"
             yield _issue(what, feature)
 
 
@@ -154,7 +149,7 @@ def _tolerance(context: Context, made: PartShapes) -> Iterator[Issue]:
     if not good:
         what = f"the mesh of the part is taken to hold within {mm(part.mesh_tolerance):.3f} mm; "
         what += f"{'stated' if stated is not None else 'its vertices say'}: {mm(limit):.3f} mm"
-        yield _issue(what, made.features[0], mm(part.mesh_tolerance), mm(limit), "mm")
+        yield _issue(what, made.features[0], in_mm(part.mesh_tolerance, limit))
 
 
 def stated_tolerance(context: Context) -> float | None:
@@ -186,40 +181,41 @@ def _whole_of_noisy(made: PartShapes) -> tuple[float, list[Issue]]:
     off = np.abs(found.off)
     usual = float(np.quantile(off, WITHIN_SHARE))
     order = np.argsort(off)
+    within = int(order[min(int(WITHIN_SHARE * len(off)), len(off) - 1)])
     for value, k, limit, how in (
-        (
-            usual,
-            int(order[min(int(WITHIN_SHARE * len(off)), len(off) - 1)]),
-            FACE_ERROR + wide,
-            "1 % of its vertices by",
-        ),
+        (usual, within, FACE_ERROR + wide, "1 % of its vertices by"),
         (float(off.max()), int(order[-1]), FACE_ERROR + FARTHEST_TOLERANCES * wide, "a vertex by"),
     ):
         if value > limit:
-            at = ", ".join(f"{mm(x):.1f}" for x in vertices[k])
-            what = f"all passes together leave the sheet off the part, at ({at}) mm, {how} {mm(value):.3f} mm"
-            issues.append(_issue(what, made.features[0], mm(value), mm(limit), "mm"))
+            what = f"all passes together leave the sheet off the part, at ({coordinates(vertices[k])}) mm, "
+            issues.append(_issue(f"{what}{how} {mm(value):.3f} mm", made.features[0], in_mm(value, limit)))
     allowed = FACE_ERROR + wide * (MEAN_TOLERANCES + MEAN_NOISE_FACTOR / np.sqrt(found.number))
     if len(found.mean) and (np.abs(found.mean) > allowed).any():
         k = int(np.argmax(np.abs(found.mean) - allowed))
-        at = ", ".join(f"{mm(x):.1f}" for x in found.middle[k])
         value = abs(float(found.mean[k]))
-        what = f"about ({at}) mm all passes together leave the sheet {mm(value):.3f} mm off the part in the "
-        what += "mean, which its noise does not do"
-        issues.append(_issue(what, made.features[0], mm(value), mm(float(allowed[k])), "mm"))
+        what = (
+            f"about ({coordinates(found.middle[k])}) mm all passes together leave the sheet "
+            f"{mm(value):.3f} mm off the part in the mean, which its noise does not do"
+        )
+        issues.append(_issue(what, made.features[0], in_mm(value, allowed[k])))
     limit = BESIDE + max(wide, tolerance_of(part.vertices, part.faces))
     group = together(own, found.off, limit)
     if len(group) > GROUP:
-        at = ", ".join(f"{mm(x):.1f}" for x in vertices[group].mean(axis=0))
+        value = float(off[group].max())
+        at = coordinates(vertices[group].mean(axis=0))
         what = (
             f"about ({at}) mm {len(group)} vertices beside one another are off what all passes make, by up "
+            f"to {mm(value):.3f} mm to one side, which noise does not do"
         )
-        what += f"to {mm(float(off[group].max())):.3f} mm to one side, which noise does not do"
-        issues.append(_issue(what, made.features[0], mm(float(off[group].max())), mm(limit), "mm"))
-    if abs(made.level) > FACE_ERROR + wide:
+        issues.append(_issue(what, made.features[0], in_mm(value, limit)))
+    return usual, [*issues, *_edge_off(made, FACE_ERROR + wide)]
+
+
+def _edge_off(made: PartShapes, limit: float) -> Iterator[Issue]:
+    """Whether the part's edge is at the flat sheet, within a limit [m]."""
+    if abs(made.level) > limit:
         what = f"the part's edge is {mm(abs(made.level)):.3f} mm off the flat sheet"
-        issues.append(_issue(what, made.features[0], mm(abs(made.level)), mm(FACE_ERROR + wide), "mm"))
-    return usual, issues
+        yield _issue(what, made.features[0], in_mm(abs(made.level), limit))
 
 
 def _whole(made: PartShapes) -> tuple[float, list[Issue]]:
@@ -228,36 +224,32 @@ def _whole(made: PartShapes) -> tuple[float, list[Issue]]:
     k = int(np.argmax(off))
     issues = []
     if off[k] > FACE_ERROR:
-        at = ", ".join(f"{mm(x):.1f}" for x in made.places[k])
-        what = f"at ({at}) mm all passes together leave the sheet {mm(off[k]):.3f} mm off the part"
-        issues.append(_issue(what, made.features[0], mm(off[k]), mm(FACE_ERROR), "mm"))
-    if abs(made.level) > FACE_ERROR:
-        what = f"the part's edge is {mm(abs(made.level)):.3f} mm off the flat sheet"
-        issues.append(_issue(what, made.features[0], mm(abs(made.level)), mm(FACE_ERROR), "mm"))
-    return float(off[k]), issues
+        what = f"at ({coordinates(made.places[k])}) mm all passes together leave the sheet "
+        what += f"{mm(off[k]):.3f} mm off the part"
+        issues.append(_issue(what, made.features[0], in_mm(off[k], FACE_ERROR)))
+    return float(off[k]), [*issues, *_edge_off(made, FACE_ERROR)]
 
 
-def _side(made: PartShapes, k: int, feature: Feature) -> Iterator[Issue]:
+def _side(made: PartShapes, feature: Feature) -> Iterator[Issue]:
     """Whether the tool on the right side forms a feature, whose wall goes one way, and ends where it says."""
     part = made.part
     for shape in feature.shapes:
         for claim in shape.claims:
             arm = claim.arm if isinstance(claim, FormsSheet) else claim.arms[0]
             if (arm, claim.side) not in zip(part.arms, part.sides, strict=True):
-                yield _issue(
-                    f"{arm} is not the tool on the side from which {claim.segment} is formed", feature
-                )
+                what = f"{arm} is not the tool on the side from which {claim.segment} is formed"
+                yield _issue(what, feature)
         sign = float(shape.claim.side if part.male else -shape.claim.side)
         heights = sign * (shape.corners[:, :, 2] - shape.base)
         if heights.min() < -FACE_ERROR:
             what = f"{shape.claim.segment} goes {mm(-heights.min()):.3f} mm toward the tool that forms it"
-            yield _issue(what, feature, mm(-float(heights.min())), mm(FACE_ERROR), "mm")
+            yield _issue(what, feature, in_mm(-heights.min(), FACE_ERROR))
         if abs(float(heights.max()) - sign * (shape.far - shape.base)) > FACE_ERROR:
             yield _issue(f"{shape.claim.segment} does not end at the level that is claimed", feature)
         back = shape.turns_back(sign)
         if back is not None:
-            at = ", ".join(f"{mm(x):.1f}" for x in back)
-            yield _issue(f"the wall of {shape.claim.segment} turns back, or parts, at ({at}) mm", feature)
+            at = f"({coordinates(back)}) mm"
+            yield _issue(f"the wall of {shape.claim.segment} turns back, or parts, at {at}", feature)
 
 
 def _level(made: PartShapes, k: int, feature: Feature) -> Iterator[Issue]:
@@ -272,7 +264,7 @@ def _level(made: PartShapes, k: int, feature: Feature) -> Iterator[Issue]:
         off = float(np.quantile(np.abs(lower - base), RIM_SHARE))
         if off > RIM_HEIGHT:
             what = f"{shape.claim.segment} begins {mm(off):.3f} mm off the sheet as it is then"
-            yield _issue(what, feature, mm(off), mm(RIM_HEIGHT), "mm")
+            yield _issue(what, feature, in_mm(off, RIM_HEIGHT))
 
 
 def _order(made: PartShapes) -> Iterator[Issue]:
@@ -331,7 +323,7 @@ def _between(part: FormsPart, feature: Feature) -> Iterator[Issue]:
     for shape in feature.shapes:
         if len(shape.claims) != part.repeats:
             what = f"{shape.claim.segment} is run {len(shape.claims)} times; wanted: {part.repeats}"
-            yield _issue(what, feature, len(shape.claims), part.repeats)
+            yield _issue(what, feature, (len(shape.claims), part.repeats, None))
     yield from _angles(part, feature, angles)
     places = final.spread(4000)[:, :2]
     sign = -1.0 if final.far < final.base else 1.0
@@ -341,7 +333,7 @@ def _between(part: FormsPart, feature: Feature) -> Iterator[Issue]:
         back = float((before - depth).max()) * upright
         if back > FACE_ERROR * 2:
             what = f"{shape.claim.segment} is {mm(back):.3f} mm behind what is formed before"
-            yield _issue(what, feature, mm(back), mm(2 * FACE_ERROR), "mm")
+            yield _issue(what, feature, in_mm(back, 2 * FACE_ERROR))
         before = np.maximum(before, depth)
     for shape, angle in zip(feature.shapes[:-1], angles, strict=False):
         share = _flat_share(shape, final, angle, sign)
@@ -350,15 +342,14 @@ def _between(part: FormsPart, feature: Feature) -> Iterator[Issue]:
                 f"{100 * share:.1f} % of {shape.claim.segment} are neither on the part nor as steep as the "
                 f"shape's {np.rad2deg(angle):.1f} deg"
             )
-            yield _issue(what, feature, 100 * share, 100 * HELD_SHARE, "%")
+            yield _issue(what, feature, in_percent(share, HELD_SHARE))
 
 
 def _angles(part: FormsPart, feature: Feature, angles: list[float]) -> Iterator[Issue]:
     if part.mode == "adsif" or part.male:
         if len(angles) != 1:
-            yield _issue(
-                f"{feature.final.claim.segment} is formed by way of other shapes, which cannot be", feature
-            )
+            what = f"{feature.final.claim.segment} is formed by way of other shapes, which cannot be"
+            yield _issue(what, feature)
         return
     if part.passes is not None:
         wanted = [angle for angle in part.passes if angle < angles[-1] - ANGLE_ERROR]
@@ -369,17 +360,15 @@ def _angles(part: FormsPart, feature: Feature, angles: list[float]) -> Iterator[
         )
         if not good:
             got = ", ".join(f"{np.rad2deg(a):.1f}" for a in angles)
-            yield _issue(
-                f"the shapes of f{feature.number} have walls of {got} deg, not those that are wanted", feature
-            )
+            what = f"the shapes of f{feature.number} have walls of {got} deg, not those that are wanted"
+            yield _issue(what, feature)
         return
     before = part.limit - part.angle_step
     for shape, angle in zip(feature.shapes, angles, strict=True):
         # of the part's last degree no more can be known than how its walls bend
         if angle > max(before + part.angle_step, part.limit) + ANGLE_ERROR:
             what = f"{shape.claim.segment} has a wall of {np.rad2deg(angle):.1f} deg at once"
-            allowed = float(np.rad2deg(max(before + part.angle_step, part.limit)))
-            yield _issue(what, feature, float(np.rad2deg(angle)), allowed, "deg")
+            yield _issue(what, feature, in_degrees(angle, max(before + part.angle_step, part.limit)))
         before = angle
 
 
@@ -393,13 +382,5 @@ def _flat_share(shape: Shape, final: Shape, angle: float, sign: float) -> float:
     return float(area[flat].sum() / max(float(area.sum()), 1e-30))
 
 
-def _issue(
-    what: str,
-    feature: Feature,
-    value: float | None = None,
-    limit: float | None = None,
-    unit: str | None = None,
-) -> Issue:
-    return Issue(
-        FORMING_PART, what, field=str(feature.final.claim.segment), value=value, limit=limit, unit=unit
-    )
+def _issue(what: str, feature: Feature, measure: Measure | None = None) -> Issue:
+    return issue(FORMING_PART, what, measure, field=str(feature.final.claim.segment))

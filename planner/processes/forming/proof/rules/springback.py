@@ -43,6 +43,7 @@ from planner.processes.forming.proof.springback_bounds import STEP, FilePass
 from planner.processes.forming.proof.springback_file import Control, Measured, Way
 from planner.processes.forming.proof.state import FORMING, Forming
 from planner.proof.context import Context
+from planner.proof.findings import Findings, in_degrees, in_mm, in_percent, percent
 from planner.proof.rule import Outcome, at_sample, mm, rule
 
 NOTHING = "no tool goes deeper than the part"
@@ -93,36 +94,33 @@ def springback(context: Context) -> Outcome:
     """Tools that go deeper than the part do so, both alike, as the problem's springback file says; that is of
     this very job, within its limits, makes no wall steeper than the metal stands, and an elastic sheet comes
     back by what it says, at places drawn by lot."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = list(_unclaimed(context, forming))
-    worst, where = 0.0, ""
+    forming, findings = context.get(FORMING), Findings(CODE, context, worst=0.0)
+    findings.issues += _unclaimed(context, forming)
     for one in forming.told:
         if one.given is None:
-            issues.append(springback_issue(one, one.fault))
+            findings.issues.append(springback_issue(one, one.fault))
             continue
         if one.given.measured is not None or one.operation.springback.scan is not None:
             off, found = _scanned(context, forming, one)
             found += [*_belongs(context, one), *_limits(one), *_way(context, forming, one)]
-            issues += [*found, *_steep(context, forming, one)]
-            if off >= worst:
-                worst, where = off, one.claim.operation
-            continue
-        found = [*_belongs(context, one), *_limits(one), *force_issues(context, one)]
-        passes = [] if found else list(_passes(context, forming, one))
-        found += _placed(one, passes)
-        found += _along(one, passes) if not found else []
-        found += _way(context, forming, one)
-        found += _steep(context, forming, one)
-        issues += found
-        if found:
-            continue  # nothing of it is worth being worked out
-        off, solved = _solved(context, forming, one, passes)
-        issues += solved
-        if off >= worst:
-            worst, where = off, one.claim.operation
+            findings.issues += [*found, *_steep(context, forming, one)]
+        else:
+            found = [*_belongs(context, one), *_limits(one), *force_issues(context, one)]
+            passes = [] if found else list(_passes(context, forming, one))
+            found += _placed(one, passes)
+            found += _along(one, passes) if not found else []
+            found += _way(context, forming, one)
+            found += _steep(context, forming, one)
+            findings.issues += found
+            if found:
+                continue  # nothing of it is worth being worked out
+            off, solved = _solved(context, forming, one, passes)
+            findings.issues += solved
+        if off >= findings.worst:
+            findings.worst, findings.where = off, one.claim.operation
     if not forming.told:
-        return Outcome(tuple(issues), nothing=NOTHING)
-    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of how far two meshes may be off", where)
+        return findings.outcome_without_value(NOTHING)
+    return findings.outcome(percent, "% of how far two meshes may be off", 1.0)
 
 
 def _unclaimed(context: Context, forming: Forming) -> Iterator[Issue]:
@@ -157,14 +155,12 @@ def _belongs(context: Context, one: Told) -> Iterator[Issue]:
         said, has = given.belongs.get(name), mine.get(name)
         yield springback_issue(one, f"its springback file is of another job: {name} is {said}, here {has}")
     if one.operation.mode not in MODES:
-        yield springback_issue(
-            one, f"in mode {one.operation.mode} nothing is known of what the sheet comes back by"
-        )
+        what = f"in mode {one.operation.mode} nothing is known of what the sheet comes back by"
+        yield springback_issue(one, what)
     names = {segment.name for segment in one.claim.segments}
     if names != set(given.ways):
-        yield springback_issue(
-            one, f"its springback file has the passes {sorted(given.ways)}, here {sorted(names)}"
-        )
+        what = f"its springback file has the passes {sorted(given.ways)}, here {sorted(names)}"
+        yield springback_issue(one, what)
 
 
 def _limits(one: Told) -> Iterator[Issue]:
@@ -173,7 +169,7 @@ def _limits(one: Told) -> Iterator[Issue]:
     for name, way in ({} if one.given is None else one.given.ways).items():
         for what, got, limit, unit in way.faults(float(stated.slope), float(stated.most_mm) * MM):
             told = f"{name} has {what} in its springback file: {got:.4g} {unit}; allowed: {limit:g}"
-            yield springback_issue(one, told, got, limit, unit)
+            yield springback_issue(one, told, (got, limit, unit or None))
 
 
 def _passes(context: Context, forming: Forming, one: Told) -> Iterator[FilePass]:
@@ -226,10 +222,10 @@ def _scanned(context: Context, forming: Forming, one: Told) -> tuple[float, list
     marks = scan_field.marks_off(said)
     if flat > scan_field.FLAT_OFF or not corners:
         what = f"the flat of its scan is {mm(flat):.3f} mm off that of the sheet"
-        issues.append(springback_issue(one, what, mm(flat), mm(scan_field.FLAT_OFF), "mm"))
+        issues.append(springback_issue(one, what, in_mm(flat, scan_field.FLAT_OFF)))
     if marks > scan_field.MARKS_OFF:
         what = f"its scan lies {mm(marks):.3f} mm farther from its marks than it has to"
-        issues.append(springback_issue(one, what, mm(marks), mm(scan_field.MARKS_OFF), "mm"))
+        issues.append(springback_issue(one, what, in_mm(marks, scan_field.MARKS_OFF)))
     worst = max(flat / scan_field.FLAT_OFF, marks / scan_field.MARKS_OFF)
     for made in forming.formed:
         claim, way = made.claim, given.ways.get(made.claim.segment.name)
@@ -256,9 +252,8 @@ def _by_scan(
     own = float(np.nanmedian(np.abs(high - touch[:, 2]))) <= ON_PART
     if own != (name in said.adjusts):
         what = f"{name} {'forms' if own else 'does not form'} the part's own face, and its file "
-        return np.inf, [
-            springback_issue(one, what + ("leaves it as it was" if own else "adjusts it by the scan"))
-        ]
+        what += "leaves it as it was" if own else "adjusts it by the scan"
+        return np.inf, [springback_issue(one, what)]
     got = np.interp(at, springback_bounds.gone(way.point), way.shift)
     slope = float(one.operation.springback.slope)
     if own:
@@ -267,7 +262,7 @@ def _by_scan(
         )
         if share < LEAST_SEEN:
             what = f"its scan shows {100.0 * share:.0f} % of the way of {name}"
-            return np.inf, [springback_issue(one, what, 100.0 * share, 100.0 * LEAST_SEEN, "%")]
+            return np.inf, [springback_issue(one, what, in_percent(share, LEAST_SEEN))]
     else:
         least = most = np.interp(at, *went)
     wanted = np.clip(got, least, most)
@@ -280,9 +275,7 @@ def _by_scan(
         f"{name} is shifted by {mm(got[k]):.3f} mm at {at[k] / MM:.0f} mm of its way; its scan, and how the "
         f"scanned part was formed, make {mm(wanted[k]):.3f} mm of it"
     )
-    return float(off[k] / slack[k]), [
-        springback_issue(one, what, mm(float(off[k])), mm(float(slack[k])), "mm")
-    ]
+    return float(off[k] / slack[k]), [springback_issue(one, what, in_mm(off[k], slack[k]))]
 
 
 def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
@@ -301,7 +294,7 @@ def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
             x, y, z = places[k] / MM
             what = f"a control point of {own.claim.segment} at ({x:.1f}, {y:.1f}, {z:.1f}) mm is "
             what += f"{mm(away[k]):.2f} mm off what the tool touches"
-            yield springback_issue(one, what, mm(float(away[k])), mm(0.5 * STEP + OFF_TOUCH), "mm")
+            yield springback_issue(one, what, in_mm(away[k], 0.5 * STEP + OFF_TOUCH))
             continue
         normal = own.face.normal[found.triangle]
         # else nothing hangs on angles
@@ -317,27 +310,26 @@ def _placed(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
                 what = f"a control point of {own.claim.segment} is on a wall of "
                 what += f"{np.rad2deg(control.angle):.1f} deg, where the part has "
                 what += f"{np.rad2deg(steep.min()):.1f} to {np.rad2deg(steep.max()):.1f} deg"
-                yield springback_issue(one, what, float(np.rad2deg(off)), float(np.rad2deg(ANGLE)), "deg")
+                yield springback_issue(one, what, in_degrees(off, ANGLE))
                 break
         height, _ = own.levels()
         room = float(own.rise.max()) + OFF_TOUCH
         for row, control in enumerate(own.controls):
             if abs(control.place[2] - height[control.level]) > room:
                 what = f"control points of level {control.level} of {own.claim.segment} are of several loops"
-                off_level = mm(abs(float(places[row, 2]) - height[control.level]))
-                yield springback_issue(one, what, off_level, mm(room), "mm")
+                yield springback_issue(one, what, in_mm(abs(places[row, 2] - height[control.level]), room))
                 break
         if len(np.unique(places.round(7), axis=0)) < len(places):
             yield springback_issue(one, f"control points of {own.claim.segment} are named twice")
         near = float(np.diff(sorted(height.values())).min(initial=np.inf))
         if not near > LEVELS_APART:
             what = f"two levels of {own.claim.segment} are at one height"
-            yield springback_issue(one, what, mm(near), mm(LEVELS_APART), "mm")
+            yield springback_issue(one, what, in_mm(near, LEVELS_APART))
         low, high = float(own.touch[:, 2].min()), float(own.touch[:, 2].max())
         bare = max(min(height.values()) - low, high - max(height.values()))
         if bare > room:
             what = f"the levels of {own.claim.segment} leave {mm(bare):.2f} mm of its depth without one"
-            yield springback_issue(one, what, mm(bare), mm(room), "mm")
+            yield springback_issue(one, what, in_mm(bare, room))
 
 
 def _along(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
@@ -359,7 +351,7 @@ def _along(one: Told, passes: Sequence[FilePass]) -> Iterator[Issue]:
                 f"way; what its control points and the slope make is {mm(least[k]):.3f} to "
                 f"{mm(most[k]):.3f} mm"
             )
-            yield springback_issue(one, what, mm(float(got[k])), mm(float(most[k])), "mm")
+            yield springback_issue(one, what, in_mm(got[k], most[k]))
 
 
 def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
@@ -369,9 +361,8 @@ def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
         if made.setup != one.index or claim.segment not in one.claim.segments:
             continue
         if way.aside is None or not len(way.aside):
-            yield springback_issue(
-                one, f"{claim.segment} has no way in the springback file, or in the programs"
-            )
+            what = f"{claim.segment} has no way in the springback file, or in the programs"
+            yield springback_issue(one, what)
             continue
         k = int(np.argmax(way.aside))
         if way.aside[k] > WAY_OFF:
@@ -379,7 +370,7 @@ def _way(context: Context, forming: Forming, one: Told) -> Iterator[Issue]:
                 f"{claim.arm} is {mm(float(way.aside[k])):.3f} mm off the way of the springback file in "
                 f"{claim.segment}; allowed: {mm(WAY_OFF):g} mm"
             )
-            measure = (mm(float(way.aside[k])), mm(WAY_OFF), "mm")
+            measure = in_mm(way.aside[k], WAY_OFF)
             yield at_sample(CODE, what, context.motion, claim.arm, int(way.rows[k]), measure)
 
 
@@ -441,12 +432,8 @@ def _solved(
                 f"{named}: it comes back by {mm(control.springback):.4f} mm under {control.force:.0f} N; an "
                 f"elastic sheet on another mesh by {mm(got):.4f} mm"
             )
-            limit = mm(allowed) if np.isfinite(got) else 0.0
-            issues.append(
-                springback_issue(
-                    one, what, mm(off) if np.isfinite(off) else mm(control.springback), limit, "mm"
-                )
-            )
+            measure = in_mm(off, allowed) if np.isfinite(got) else in_mm(control.springback, 0.0)
+            issues.append(springback_issue(one, what, measure))
     for at in places[:PLACES]:
         own, k = at.own, at.row
         feature, number, claim = shapes[own.claim.segment.name]
@@ -474,10 +461,8 @@ def _solved(
                 what = f"{named} {says} {mm(value):.4f} mm"
                 what += " by the control points around" if says == "has" else ""
                 what += f"; an elastic sheet comes back by {mm(got):.4f} mm there under {force:.0f} N"
-                limit = mm(allowed) if np.isfinite(got) else 0.0
-                issues.append(
-                    springback_issue(one, what, mm(off) if np.isfinite(off) else mm(value), limit, "mm")
-                )
+                measure = in_mm(off, allowed) if np.isfinite(got) else in_mm(value, 0.0)
+                issues.append(springback_issue(one, what, measure))
     return worst, issues
 
 

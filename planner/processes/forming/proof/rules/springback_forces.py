@@ -11,23 +11,20 @@ from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
 from planner.issues import Issue
 from planner.processes.forming.claims import FormsSheet
-from planner.processes.forming.proof import (
-    stated_force,
-)
+from planner.processes.forming.proof import stated_force
 from planner.processes.forming.proof.released import Told
 from planner.processes.forming.proof.springback_file import Control
 from planner.proof.context import Context
+from planner.proof.rule import Measure, issue
 from planner.tooling import FormingTool
 
 CODE = "verify.springback"
 """Code of this rule."""
 
 
-def springback_issue(
-    one: Told, what: str, got: float | None = None, limit: float | None = None, unit: str = ""
-) -> Issue:
-    what = f"{one.claim.operation}: {what}"
-    return Issue(CODE, what, field="springback", value=got, limit=limit, unit=unit or None)
+def springback_issue(one: Told, what: str, measure: Measure | None = None) -> Issue:
+    """An issue about an operation whose tools go deeper than the part."""
+    return issue(CODE, f"{one.claim.operation}: {what}", measure, field="springback")
 
 
 def group_of(context: Context, one: Told) -> tuple[object, ...]:
@@ -74,7 +71,8 @@ def force_issues(context: Context, one: Told) -> Iterator[Issue]:
         k = int(np.argmax(off))
         if off[k] > allowed:
             what = f"a control point of {name} is under {mine[k].force:.1f} N; the problem's force there "
-            yield springback_issue(one, f"{what}is {wanted[k]:.1f} N", mine[k].force, float(wanted[k]), "N")
+            measure = mine[k].force, float(wanted[k]), "N"
+            yield springback_issue(one, f"{what}is {wanted[k]:.1f} N", measure)
 
 
 def formula_forces(

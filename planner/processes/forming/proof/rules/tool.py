@@ -33,7 +33,8 @@ from planner.processes.forming.proof.swept import ENVELOPES, Head, HeadWay, Insi
 from planner.processes.forming.proof.tracks import SAMPLES_AT_ONCE, ByRow, Track
 from planner.proof.context import Context
 from planner.proof.faces import divided
-from planner.proof.rule import FEED_SLACK, Outcome, at_node, at_sample, mm, rule
+from planner.proof.findings import Findings, degrees, in_degrees, in_mm, in_percent
+from planner.proof.rule import FEED_SLACK, Outcome, mm, rule
 from planner.proof.verdict import CutFace
 from planner.runtime.executor import Executor
 from planner.runtime.memory import release_memory
@@ -52,9 +53,7 @@ UNREACHED, UNREACHED_SLACK = 1.03, 2e-5
 def gouge(context: Context) -> Outcome:
     """At every instant, also on its ways to and from the sheet, the forming ball is on its side of the face
     it forms and of the flat beyond, and cuts into neither by more than the tolerance."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, None, ""
+    forming, findings = context.get(FORMING), Findings("verify.gouge", context)
     for one in forming.formed:
         claim = one.claim
         if not len(one.pieces.first):
@@ -67,31 +66,26 @@ def gouge(context: Context) -> Outcome:
         between = one.face.least(start, end, np.minimum(need + off, claim.radius))
         room = np.minimum(np.minimum(at_knots[first], at_knots[last]), between - off)
         deep = claim.radius - room
-        k = int(np.argmax(deep))
-        if deep[k] - claim.tolerance > worst:
-            worst, limit, where = float(deep[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
+        findings.beyond(deep, claim.tolerance, claim.segment)
         for i in spread(deep > claim.tolerance):
             what = (
                 f"in {claim.segment} the ball cuts {mm(deep[i]):.3f} mm into the face or the flat sheet; "
                 f"allowed: {mm(claim.tolerance):g} mm"
             )
-            measure = (mm(float(deep[i])), mm(claim.tolerance), "mm")
-            row = int(one.track.rows[one.pieces.last[i]])
-            issues.append(at_sample("verify.gouge", what, context.motion, claim.arm, row, measure))
-    if limit is None:
-        return Outcome(tuple(issues), nothing=NOTHING_FORMED)
-    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+            row = one.track.rows[one.pieces.last[i]]
+            findings.at_sample(what, claim.arm, row, in_mm(deep[i], claim.tolerance))
+    return findings.outcome_beyond(NOTHING_FORMED)
 
 
 @rule("verify.formed", FormsSheet)
 def formed(context: Context) -> Outcome:
     """The forming ball reaches all of a face but a stated share, within the scallop, goes all around it every
     stated step, is off it for no more than a tenth of its way, and nothing is formed that is not claimed."""
-    forming = context.get(FORMING)
-    issues = _unclaimed(context, forming)
+    forming, findings = context.get(FORMING), Findings("verify.formed", context)
+    _unclaimed(findings, forming)
     faces: list[CutFace] = []
     for one, face in zip(forming.formed, context.get(ENVELOPES), strict=True):
-        claim = one.claim
+        claim, field = one.claim, str(one.claim.segment)
         faces.append(face)
         limit = forming.unreached(one)
         if limit is not None and face.unreached > UNREACHED * limit + UNREACHED_SLACK:
@@ -99,16 +93,14 @@ def formed(context: Context) -> Outcome:
                 f"a ball of that size stays {mm(face.unreached):.3f} mm off the part in {claim.segment}; the "
                 f"problem allows {mm(limit):g} mm"
             )
-            off, most = mm(face.unreached), mm(limit)
-            field = str(claim.segment)
-            issues.append(Issue("verify.formed", what, field=field, value=off, limit=most, unit="mm"))
+            findings.add(what, in_mm(face.unreached, limit), field=field)
         if face.share < claim.share:
             leave = f"{mm(face.allowed.min()):.3g} to {mm(face.tolerance):.3g} mm"
             what = (
                 f"the ball passes {100 * face.share:.2f} % of the walls of {claim.segment} within what the "
                 f"steps of its path leave there, {leave}; wanted: {100 * claim.share:g} %"
             )
-            issues.append(_of_face("verify.formed", what, claim.segment, face.share, claim.share))
+            findings.add(what, in_percent(face.share, claim.share), field=field)
         window = emptiest(one, forming.steps(one)) if one.level is None else None
         if window is not None and window.share < LOOP_SHARE:
             what = (
@@ -116,22 +108,21 @@ def formed(context: Context) -> Outcome:
                 f"{claim.segment} the ball goes along {mm(window.way):.1f} mm of its walls, which are "
                 f"{mm(window.contour):.1f} mm around there; by the stated steps a whole loop is there"
             )
-            issues.append(_of_face("verify.formed", what, claim.segment, window.share, LOOP_SHARE))
+            findings.add(what, in_percent(window.share, LOOP_SHARE), field=field)
         lifted = _lifted(one)
         if lifted > LIFTED_SHARE:
             what = (
                 f"the ball is off the face for {100 * lifted:.1f} % of its way in {claim.segment}; "
                 f"allowed: {100 * LIFTED_SHARE:g} %"
             )
-            issues.append(_of_face("verify.formed", what, claim.segment, lifted, LIFTED_SHARE))
+            findings.add(what, in_percent(lifted, LIFTED_SHARE), field=field)
     if not faces:
-        return Outcome(tuple(issues), nothing=NOTHING_FORMED, part=swept.obj(forming))
+        return Outcome(tuple(findings.issues), nothing=NOTHING_FORMED, part=swept.obj(forming))
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
-    share, wanted = 100 * worst.share, 100 * worst.wanted_share
     return Outcome(
-        tuple(issues),
-        share,
-        wanted,
+        tuple(findings.issues),
+        100 * worst.share,
+        100 * worst.wanted_share,
         "% within the scallop",
         worst.title,
         faces=tuple(faces),
@@ -148,28 +139,24 @@ def _lifted(one: Formed) -> float:
     return float(way[up].sum() / max(float(way.sum()), 1e-12)) if len(way) else 1.0
 
 
-def _unclaimed(context: Context, forming: Forming) -> list[Issue]:
+def _unclaimed(findings: Findings, forming: Forming) -> None:
     """Moves of segments that form, of which nothing is claimed."""
-    motion = context.motion
-    arm = context.job.tasks[0].arm.name
-    issues = []
+    motion, arm = findings.context.motion, findings.context.job.tasks[0].arm.name
     seen: set[str] = set()
     for node, (segment, name) in enumerate(zip(motion.node_segment, motion.node_label, strict=True)):
         if segment.kind == "form" and name not in forming.labels and name not in seen:
             seen.add(name)
             what = f"the programs form in {segment}, of which the problem claims nothing"
-            issues.append(at_node("verify.formed", what, motion, arm, node))
-    return issues
+            findings.at_node(what, arm, node)
 
 
 @rule("verify.feature_order", FormsInOrder)
 def feature_order(context: Context) -> Outcome:
     """The segments that form the sheet come in the order that is claimed, each once, with its own ways in
     and out, and all of them."""
-    forming = context.get(FORMING)
+    forming, findings = context.get(FORMING), Findings("verify.feature_order", context)
     motion = context.motion
     arm = context.job.tasks[0].arm.name
-    issues: list[Issue] = []
     claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, FormsInOrder)]
     said = motion.node_segment
     setups = context.spans.of_stage[motion.node_stage]
@@ -188,24 +175,20 @@ def feature_order(context: Context) -> Outcome:
             if k >= len(full) or name != full[k]:
                 known = "" if k >= len(full) else f"; {full[k]} comes first"
                 what = f"{name} comes in the place {k + 1} of what is formed{known}"
-                issues.append(at_node("verify.feature_order", what, motion, arm, node))
+                findings.at_node(what, arm, node)
                 break
         else:
-            issues += [
-                Issue("verify.feature_order", f"{name} is never formed", field=str(name))
-                for name in full[len(there) :]
-                if name in wanted
-            ]
-    return Outcome(tuple(issues), nothing="" if claims else NOTHING_FORMED)
+            for name in full[len(there) :]:
+                if name in wanted:
+                    findings.add(f"{name} is never formed", field=str(name))
+    return findings.outcome_without_value("" if claims else NOTHING_FORMED)
 
 
 @rule("verify.forming_feed", FormingFeed)
 def feed(context: Context) -> Outcome:
     """While they form, the TCPs of all tools move no faster than they may."""
-    forming = context.get(FORMING)
+    forming, findings = context.get(FORMING), Findings("verify.forming_feed", context, worst=0.0)
     motion = context.motion
-    issues: list[Issue] = []
-    worst, where = 0.0, ""
     claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, FormingFeed)]
     for index, claim in claims:
         chosen = motion.node_label == claim.segment.key
@@ -221,31 +204,24 @@ def feed(context: Context) -> Outcome:
                 way = np.linalg.norm(place[some] - place[some - 1], axis=1)
                 spent = np.maximum(motion.time[some] - motion.time[some - 1], 1e-6)
                 speed[begin : begin + SAMPLES_AT_ONCE] = way / spent
-            if speed.max() / claim.upper > worst:
-                worst, where = float(speed.max() / claim.upper), f"{arm} in {claim.segment}"
+            findings.highest(speed.max() / claim.upper, f"{arm} in {claim.segment}")
             for k in spread(speed > FEED_SLACK * claim.upper):
-                what = (
-                    f"{arm} moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; allowed: {mm(claim.upper):g}"
-                )
-                measure = (mm(float(speed[k])), mm(claim.upper), "mm/s")
-                issues.append(at_sample("verify.forming_feed", what, motion, arm, int(rows[k]), measure))
+                got, most = mm(float(speed[k])), mm(claim.upper)
+                what = f"{arm} moves at {got:.2f} mm/s in {claim.segment}; allowed: {most:g}"
+                findings.at_sample(what, arm, rows[k], (got, most, "mm/s"))
     fed = {claim.segment.key for _, claim in claims}
-    issues += [
-        Issue("verify.forming_feed", f"{one.claim.segment} has no feed", field=str(one.claim.segment))
-        for one in forming.formed
-        if one.claim.segment.key not in fed
-    ]
+    for one in forming.formed:
+        if one.claim.segment.key not in fed:
+            findings.add(f"{one.claim.segment} has no feed", field=str(one.claim.segment))
     if not claims:
-        return Outcome(tuple(issues), nothing=NOTHING_FORMED)
-    return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
+        return findings.outcome_without_value(NOTHING_FORMED)
+    return findings.outcome(float, "of the feed", FEED_SLACK)
 
 
 @rule("verify.lean", ToolsLean)
 def lean(context: Context) -> Outcome:
     """While they form, tools lean from the sheet's normal no farther than the problem lets them."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, 0.0, ""
+    forming, findings = context.get(FORMING), Findings("verify.lean", context)
     claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, ToolsLean)]
     for index, claim in claims:
         way = forming.track(claim.segment, index, claim.arms)
@@ -259,18 +235,12 @@ def lean(context: Context) -> Outcome:
                 some = slice(begin, begin + SAMPLES_AT_ONCE)
                 upright = way.axis(column, rows[some])[:, 2]
                 angle[some] = np.arccos(np.clip(toward * upright, -1.0, 1.0))
-            k = int(np.argmax(angle))
-            if angle[k] - claim.upper > worst:
-                worst, limit = float(angle[k] - claim.upper), claim.upper
-                where = f"{arm} in {claim.segment}"
+            findings.beyond(angle, claim.upper, f"{arm} in {claim.segment}")
             for i in spread(angle > claim.upper):
-                got, most = float(np.rad2deg(angle[i])), float(np.rad2deg(claim.upper))
+                got, most, _ = measure = in_degrees(angle[i], claim.upper)
                 what = f"{arm} leans {got:.2f} deg in {claim.segment}; allowed: {most:.2f} deg"
-                row = int(way.rows[rows[i]])
-                issues.append(at_sample("verify.lean", what, context.motion, arm, row, (got, most, "deg")))
-    if not np.isfinite(worst):
-        return Outcome(tuple(issues), nothing=NOTHING_FORMED)
-    return Outcome(tuple(issues), float(np.rad2deg(worst + limit)), float(np.rad2deg(limit)), "deg", where)
+                findings.at_sample(what, arm, way.rows[rows[i]], measure)
+    return findings.outcome(degrees, "deg", nothing=NOTHING_FORMED)
 
 
 def spread(bad: BoolArray) -> IntArray:
@@ -278,10 +248,6 @@ def spread(bad: BoolArray) -> IntArray:
     rows = np.flatnonzero(bad)
     first = rows[np.diff(rows, prepend=-2) > 1]
     return first[:ISSUES_SHOWN]
-
-
-def _of_face(code: str, what: str, segment: Segment, value: float, limit: float) -> Issue:
-    return Issue(code, what, field=str(segment), value=100 * value, limit=100 * limit, unit="%")
 
 
 PLACE_SPACING = 0.002
@@ -297,14 +263,12 @@ def sheet(context: Context) -> Outcome:
     """Neither tool has anything inside it of what is formed already, of the walls being formed or of the flat
     sheet around, but for what its own ball forms; the other tool stays on its own side of the face. The
     forming ball goes down level by level, and tools go in and out straight where they begin and end."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, None, ""
+    forming, findings = context.get(FORMING), Findings("verify.sheet", context)
     known = {state.segment.key for _, state in forming.states}
     for one in forming.formed:
         if one.claim.segment.key not in known:
             what = f"nothing says what the tools meet in {one.claim.segment}"
-            issues.append(Issue("verify.sheet", what, field=str(one.claim.segment)))
+            findings.add(what, field=str(one.claim.segment))
     for index, state in forming.states:
         formed = forming.of(state.segment)
         way = forming.track(state.segment, index, state.arms) if formed is None else formed.track
@@ -316,7 +280,7 @@ def sheet(context: Context) -> Outcome:
         for number, arm in enumerate(state.arms):
             if arm not in way.arms:
                 what = f"{arm} has no program for {state.segment}"
-                issues.append(Issue("verify.sheet", what, field=str(state.segment)))
+                findings.add(what, field=str(state.segment))
                 continue
             allowed = state.tolerance if number == 0 else state.other
             own = dataclasses.replace(state, tolerance=allowed)
@@ -331,20 +295,15 @@ def sheet(context: Context) -> Outcome:
             told = [(one, "has {:.3f} mm of the sheet inside") for one in (*heads, *rest)]
             told += [(one, "is {:.3f} mm deeper than the sheet is formed by then") for one in ahead]
             for (deep, row), how in told:
-                k = int(np.argmax(deep)) if len(deep) else -1
-                if k >= 0 and deep[k] - allowed > worst:
-                    worst, limit, where = float(deep[k]) - allowed, mm(allowed), str(state.segment)
+                if len(deep):
+                    findings.beyond(deep, allowed, state.segment)
                 for i in spread(deep > allowed):
                     what = f"the tool of {arm} {how.format(mm(deep[i]))} in {state.segment}; "
                     what += f"allowed: {mm(allowed):g} mm"
-                    measure = (mm(float(deep[i])), mm(allowed), "mm")
-                    sample = int(way.rows[row[i]])
-                    issues.append(at_sample("verify.sheet", what, context.motion, arm, sample, measure))
-    if limit is None:
-        if forming.formed:
-            return Outcome(tuple(issues), where="nothing near")
-        return Outcome(tuple(issues), nothing=NOTHING_FORMED)
-    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+                    findings.at_sample(what, arm, way.rows[row[i]], in_mm(deep[i], allowed))
+    if forming.formed and not findings.measured:
+        return findings.outcome_without_value(where="nothing near")
+    return findings.outcome_beyond(NOTHING_FORMED)
 
 
 def _all(
@@ -467,25 +426,19 @@ SHOWN_PULSES = 20
 def holder(context: Context) -> Outcome:
     """The signal of a clamp that sinks is pulsed once for each step, within one step of the level that the
     forming tool has reached, and switched at no other time."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, SinksHolder)]
-    worst, limit, where = 0.0, None, ""
-    for index, claim in claims:
+    forming, findings = context.get(FORMING), Findings("verify.holder", context)
+    for index, claim in forming.by_setup:
+        if not isinstance(claim, SinksHolder):
+            continue
         way = forming.track(claim.segment, index, (claim.arm,))
         if not way.own.any():
-            issues.append(Issue("verify.holder", f"{claim.arm} never forms {claim.segment}"))
+            findings.add(f"{claim.arm} never forms {claim.segment}")
             continue
         edges = _edges(context, claim)
-        issues += _pulses(claim, edges)
-        issues += _outside(context, claim, way, edges)
-        off, far = _off(context, claim, way, [edge.time for edge in edges if edge.value > 0.0])
-        issues += far
-        if limit is None or off - claim.step > worst - limit:
-            worst, limit, where = off, claim.step, str(claim.segment)
-    if limit is None:
-        return Outcome(tuple(issues), nothing="no clamp sinks")
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
+        findings.issues += _pulses(claim, edges)
+        findings.issues += _outside(context, claim, way, edges)
+        _off(findings, claim, way, [edge.time for edge in edges if edge.value > 0.0])
+    return findings.outcome(mm, "mm", nothing="no clamp sinks")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -546,26 +499,22 @@ def _outside(context: Context, claim: SinksHolder, way: Track, edges: list[_Edge
     ][:SHOWN_PULSES]
 
 
-def _off(context: Context, claim: SinksHolder, way: Track, pulses: list[float]) -> tuple[float, list[Issue]]:
+def _off(findings: Findings, claim: SinksHolder, way: Track, pulses: list[float]) -> None:
     """How far [m] the clamp is off the tip's lowest level at most, and where by more than a step."""
-    motion = context.motion
     rows = np.flatnonzero(way.own)
     tip = claim.side * (claim.start - way.centre[: rows[-1] + 1, 0][:, 2]) + claim.radius
     sunk = np.maximum(np.maximum.accumulate(tip), 0.0)[rows]
-    now = motion.time[way.rows[rows]]
+    now = findings.context.motion.time[way.rows[rows]]
     at = np.array(pulses)
     # at the very instant of a pulse the clamp is on its way: both levels count
     before = claim.step * np.searchsorted(at, now - PULSE_ROUNDING, side="left")
     after = claim.step * np.searchsorted(at, now + PULSE_ROUNDING, side="right")
     off = np.maximum(np.abs(sunk - before), np.abs(sunk - after))
+    findings.beyond(off, claim.step, claim.segment)
     bad = np.flatnonzero(off > claim.step + REPLAY_ERROR)
-    bad = bad[np.diff(bad, prepend=-2) > 1][:SHOWN_PULSES]
-    issues = []
-    for k in bad:
+    for k in bad[np.diff(bad, prepend=-2) > 1][:SHOWN_PULSES]:
         what = (
             f"the clamp is {mm(off[k]):.3f} mm off the level that the tool has reached in {claim.segment}; "
             f"allowed is one step, {mm(claim.step):g} mm"
         )
-        measure = (mm(float(off[k])), mm(claim.step), "mm")
-        issues.append(at_sample("verify.holder", what, motion, claim.arm, int(way.rows[rows[k]]), measure))
-    return float(off.max()), issues
+        findings.at_sample(what, claim.arm, way.rows[rows[k]], in_mm(off[k], claim.step))

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray, IntArray, dots
-from planner.issues import Issue
 from planner.processes.forming.claims import FollowsOpposite, FormsByTable, SupportsBorder, ToolGap
 from planner.processes.forming.proof.accumulative import Wanted, Way, wanted_conditions
 from planner.processes.forming.proof.face import Face, Nearest
@@ -20,7 +19,8 @@ from planner.processes.forming.proof.rules.tool import ISSUES_SHOWN, NOTHING_FOR
 from planner.processes.forming.proof.state import FORMING, TOUCHED_WITHIN, TRACK_CHORD_SHARE, Opened
 from planner.processes.forming.proof.tracks import Track, pieces
 from planner.proof.context import Context
-from planner.proof.rule import Outcome, at_sample, mm, rule
+from planner.proof.findings import Findings, coordinates, in_degrees, in_mm, in_percent
+from planner.proof.rule import Outcome, mm, rule
 
 LOOK_TURN = np.deg2rad(0.5)
 """How far [rad] a tool turns at most between two looks at it."""
@@ -32,15 +32,13 @@ BORDER_CUT_IN = 1e-4
 def gap(context: Context) -> Outcome:
     """At and between targets the gap between two forming tools is what the sheet between them is wanted to be
     thick, and they face each other as wanted; of two controllers, whichever is a step ahead."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, None, ""
+    forming, findings = context.get(FORMING), Findings("verify.gap", context)
     for one in forming.opened:
         claim, way, low, high = one.claim, one.track, one.low, one.high
         first, last, off = one.pieces.first, one.pieces.last, one.pieces.apart
         if not len(first):
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
-            issues.append(Issue("verify.gap", what, field=str(claim.segment)))
+            findings.add(what, field=str(claim.segment))
             continue
         start, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
         least, most = _between(way, first, last)
@@ -49,21 +47,15 @@ def gap(context: Context) -> Outcome:
         wide = most - both - np.maximum(high[start], high[end])
         narrow = np.minimum(low[start], low[end]) - (least - both)
         error = np.maximum(wide, narrow) + off
-        k = int(np.argmax(error))
-        if error[k] - claim.tolerance > worst:
-            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
+        findings.beyond(error, claim.tolerance, claim.segment)
         for i in spread(error > claim.tolerance):
             way_off = "wide" if wide[i] >= narrow[i] else "narrow"
             what = f"the gap is {mm(error[i]):.3f} mm too {way_off} in {claim.segment}"
             what += f"; allowed: {mm(claim.tolerance):g} mm"
-            measure = (mm(float(error[i])), mm(claim.tolerance), "mm")
-            row = int(way.rows[last[i]])
-            issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
-        issues += _facing(context, one)
-        issues += _a_step_apart(context, one)
-    if limit is None:
-        return Outcome(tuple(issues), nothing="no gap is claimed" if forming.formed else NOTHING_FORMED)
-    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+            findings.at_sample(what, claim.arms[0], way.rows[last[i]], in_mm(error[i], claim.tolerance))
+        _facing(findings, one)
+        _a_step_apart(findings, one)
+    return findings.outcome_beyond("no gap is claimed" if forming.formed else NOTHING_FORMED)
 
 
 def _between(way: Track, first: IntArray, last: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -77,20 +69,16 @@ def _between(way: Track, first: IntArray, last: IntArray) -> tuple[FloatArray, F
     return least, np.maximum(np.linalg.norm(one, axis=1), np.linalg.norm(two, axis=1))
 
 
-def _facing(context: Context, one: Opened) -> list[Issue]:
+def _facing(findings: Findings, one: Opened) -> None:
     """Knots at which the line of the centres does not lie between the face's normal and the vertical."""
     claim, way, knots = one.claim, one.track, one.knots
     off = _turned(way, knots, one.face, one.near, claim.side, upright=True)
-    issues = []
     for k in spread(off > claim.turn):
         what = (
             f"in {claim.segment} the line of the tools is {np.rad2deg(off[k]):.2f} deg off what lies between "
             f"the face's normal and the vertical; allowed: {np.rad2deg(claim.turn):g} deg"
         )
-        measure = (float(np.rad2deg(off[k])), float(np.rad2deg(claim.turn)), "deg")
-        row = int(way.rows[knots[k]])
-        issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
-    return issues
+        findings.at_sample(what, claim.arms[0], way.rows[knots[k]], in_degrees(off[k], claim.turn))
 
 
 _KNOTS_AT_ONCE = 16_384
@@ -181,29 +169,27 @@ def _off_arc(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
     return np.asarray(np.where(within, np.minimum(beside, nearest), nearest))
 
 
-def _a_step_apart(context: Context, one: Opened) -> list[Issue]:
+def _a_step_apart(findings: Findings, one: Opened) -> None:
     """Where two controllers meet only now and then: the gap for all instants of one arm and of the other
     between two meetings."""
-    issues: list[Issue] = []
-    if context.problem.cell.controller.sync != "handshake":
-        return issues
+    if findings.context.problem.cell.controller.sync != "handshake":
+        return
     claim, way, knots, low, high = one.claim, one.track, one.knots, one.low, one.high
-    both = sum(claim.radii)
-    for rows in _intervals(context, way, knots):
+    both, count = sum(claim.radii), 0
+    for rows in _intervals(findings.context, way, knots):
         # as they are moved: at two instants the sheet gives way by two amounts, and the gap is between tools
         former, other = way.commanded(0, knots[rows]), way.commanded(1, knots[rows])
         apart = np.linalg.norm(former[:, None] - other[None], axis=2) - both
         error = np.maximum(apart - high[rows, None], low[rows, None] - apart).max(axis=1)
         k = int(np.argmax(error))
-        if error[k] > claim.handshake and len(issues) < ISSUES_SHOWN:
+        if error[k] > claim.handshake and count < ISSUES_SHOWN:
+            count += 1
             what = (
                 f"with one arm ahead in {claim.segment} the gap is {mm(error[k]):.3f} mm off; "
                 f"allowed between meetings: {mm(claim.handshake):g} mm"
             )
-            measure = (mm(float(error[k])), mm(claim.handshake), "mm")
-            row = int(way.rows[knots[rows[k]]])
-            issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
-    return issues
+            row = way.rows[knots[rows[k]]]
+            findings.at_sample(what, claim.arms[0], row, in_mm(error[k], claim.handshake))
 
 
 def _intervals(context: Context, way: Track, knots: IntArray) -> Iterator[IntArray]:
@@ -223,20 +209,18 @@ def _intervals(context: Context, way: Track, knots: IntArray) -> Iterator[IntArr
 @rule("verify.border", SupportsBorder)
 def border(context: Context) -> Outcome:
     """The tool that supports a border stays on it within the tolerance, and never cuts across it."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, None, ""
+    forming, findings = context.get(FORMING), Findings("verify.border", context)
     for index, claim in forming.by_setup:
         if not isinstance(claim, SupportsBorder):
             continue
         way = forming.track(claim.segment, index, (claim.arm,))
         parts = pieces(way, min(TRACK_CHORD_SHARE * claim.tolerance, 0.1 * BORDER_CUT_IN))
-        rows = np.unique(
-            np.concatenate([parts.first[way.own[parts.first]], parts.last[way.own[parts.first]]])
-        )
+        own = way.own[parts.first]
+        rows = np.unique(np.concatenate([parts.first[own], parts.last[own]]))
         if not len(rows):
-            what = f"{claim.arm} never supports the border of {claim.segment}"
-            issues.append(Issue("verify.border", what, field=str(claim.segment)))
+            findings.add(
+                f"{claim.arm} never supports the border of {claim.segment}", field=str(claim.segment)
+            )
             continue
         points = _dense(way.centre[rows, 0])
         which = np.minimum(
@@ -244,21 +228,15 @@ def border(context: Context) -> Outcome:
         )
         off, inside = _off_border(points[0], claim.border)
         slack = float(parts.off.max(initial=0.0))
-        for wrong, limit_here, what in (
+        for wrong, limit, what in (
             (off + slack, claim.tolerance, "off the border"),
             (np.where(inside, off, 0.0) - slack, BORDER_CUT_IN, "inside of the border"),
         ):
-            k = int(np.argmax(wrong))
-            if (wrong[k] - limit_here) > worst:
-                worst, limit, where = float(wrong[k] - limit_here), mm(limit_here), str(claim.segment)
-            for i in spread(wrong > limit_here):
+            findings.beyond(wrong, limit, claim.segment)
+            for i in spread(wrong > limit):
                 told = f"{claim.arm} is {mm(wrong[i]):.3f} mm {what} of {claim.segment}"
-                measure = (mm(float(wrong[i])), mm(limit_here), "mm")
-                row = int(way.rows[rows[which[i]]])
-                issues.append(at_sample("verify.border", told, context.motion, claim.arm, row, measure))
-    if limit is None:
-        return Outcome(tuple(issues), nothing="no border is supported")
-    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+                findings.at_sample(told, claim.arm, way.rows[rows[which[i]]], in_mm(wrong[i], limit))
+    return findings.outcome_beyond("no border is supported")
 
 
 EDGE_STEP = 0.002
@@ -316,53 +294,41 @@ def _marks(a: FloatArray, b: FloatArray) -> tuple[FloatArray, IntArray]:
 def opposite(context: Context) -> Outcome:
     """A tool that follows the forming one across the sheet is at the wanted distance, along the face's
     normal, and points at it from between that normal and the vertical."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, None, ""
+    forming, findings = context.get(FORMING), Findings("verify.opposite", context)
     for index, claim in forming.by_setup:
         if not isinstance(claim, FollowsOpposite):
             continue
-        way = forming.track(claim.segment, index, claim.arms)
+        way, arm = forming.track(claim.segment, index, claim.arms), claim.arms[1]
         parts = pieces(way, TRACK_CHORD_SHARE * claim.tolerance)
         own = way.own[parts.first]
         first, last, off = parts.first[own], parts.last[own], parts.off[own]
         if not len(first):
             what = f"{' and '.join(claim.arms)} never work on {claim.segment} together"
-            issues.append(Issue("verify.opposite", what, field=str(claim.segment)))
+            findings.add(what, field=str(claim.segment))
             continue
         least, most = _between(way, first, last)
         error = np.maximum(most - claim.distance, claim.distance - least) + 2.0 * off
-        k = int(np.argmax(error))
-        if error[k] - claim.tolerance > worst:
-            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
+        findings.beyond(error, claim.tolerance, claim.segment)
         for i in spread(error > claim.tolerance):
-            what = f"{claim.arms[1]} is {mm(error[i]):.3f} mm off its distance in {claim.segment}"
-            measure = (mm(float(error[i])), mm(claim.tolerance), "mm")
-            row = int(way.rows[last[i]])
-            issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
+            what = f"{arm} is {mm(error[i]):.3f} mm off its distance in {claim.segment}"
+            findings.at_sample(what, arm, way.rows[last[i]], in_mm(error[i], claim.tolerance))
         knots = np.unique(np.concatenate([first, last]))
         face = Face(claim.vertices, claim.faces, 0.01)
         found = face.nearest(way.centre[knots, 0], TOUCHED_WITHIN)
         turned = _turned(way, knots, face, found, claim.side, upright=False)
         for i in spread(turned > claim.turn):
-            what = f"{claim.arms[1]} is {np.rad2deg(turned[i]):.2f} deg off the normal in {claim.segment}"
-            measure = (float(np.rad2deg(turned[i])), float(np.rad2deg(claim.turn)), "deg")
-            row = int(way.rows[knots[i]])
-            issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
+            what = f"{arm} is {np.rad2deg(turned[i]):.2f} deg off the normal in {claim.segment}"
+            findings.at_sample(what, arm, way.rows[knots[i]], in_degrees(turned[i], claim.turn))
         rows = _turning(way, knots)
         found = face.nearest(way.centre[rows, 0], TOUCHED_WITHIN)
         aside = _off_directions(way.axis(1, rows), way, rows, face, found, claim.side, upright=True)
         for i in spread(aside > claim.aim):
             what = (
-                f"{claim.arms[1]} points {np.rad2deg(aside[i]):.2f} deg off what lies between the face's "
+                f"{arm} points {np.rad2deg(aside[i]):.2f} deg off what lies between the face's "
                 f"normal and the vertical in {claim.segment}; allowed: {np.rad2deg(claim.aim):g} deg"
             )
-            measure = (float(np.rad2deg(aside[i])), float(np.rad2deg(claim.aim)), "deg")
-            row = int(way.rows[rows[i]])
-            issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
-    if limit is None:
-        return Outcome(tuple(issues), nothing="no tool follows another")
-    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+            findings.at_sample(what, arm, way.rows[rows[i]], in_degrees(aside[i], claim.aim))
+    return findings.outcome_beyond("no tool follows another")
 
 
 TOOL_LINE_TURN = np.deg2rad(1.0)
@@ -387,43 +353,37 @@ def by_table(context: Context) -> Outcome:
     """In accumulative forming both tools are, at and between targets, where the response table wants them for
     the wall of the wanted face at each place, at the sheet's level, and pass all of it from the inside out;
     on their ways in and out they press into it nowhere else."""
-    forming = context.get(FORMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, None, ""
+    forming, findings = context.get(FORMING), Findings("verify.adsif", context)
     for index, claim in forming.by_setup:
         if not isinstance(claim, FormsByTable):
             continue
         way = Way(context, claim, index)
         if len(way.rows) < 2:
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
-            issues.append(Issue("verify.adsif", what, field=str(claim.segment)))
+            findings.add(what, field=str(claim.segment))
             continue
         table = wanted_conditions(claim.table, claim.prefer)
-        issues += _conditions(claim, table)
+        _conditions(findings, claim, table)
         off, aside, place = way.fitting(table)
         level = way.start - claim.projection + claim.radii[0]
         high = np.abs(way.centre[:, 0][:, 2] - level)
         across = np.hypot(*(way.centre[:, 1] - way.centre[:, 0])[:, :2].T)
         error = np.maximum(np.maximum(off, high), aside - np.sin(TOOL_LINE_TURN) * across)
         error = error + LOOK_ERROR_SHARE * claim.tolerance
-        k = int(np.argmax(error))
-        if error[k] - claim.tolerance > worst:
-            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
+        findings.beyond(error, claim.tolerance, claim.segment)
         for i in spread(error > claim.tolerance):
-            issues.append(_off(context, way, i, float(error[i]), bool(high[i] > claim.tolerance)))
-        issues += _passed(way, place)
-        issues += _upright(context, way)
-        issues += _ways(context, way)
-    if limit is None:
-        return Outcome(tuple(issues), nothing="no table is followed")
-    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+            _off(findings, way, i, float(error[i]), bool(high[i] > claim.tolerance))
+        _passed(findings, way, place)
+        _upright(findings, way)
+        _ways(findings, way)
+    return findings.outcome_beyond("no table is followed")
 
 
 LOOK_ERROR_SHARE = 0.1
 """What the way between looks may be off, as a share of the tolerance."""
 
 
-def _off(context: Context, way: Way, look: int, error: float, level: bool) -> Issue:
+def _off(findings: Findings, way: Way, look: int, error: float, level: bool) -> None:
     claim = way.claim
     if not np.isfinite(error):
         what = f"{claim.arms[0]} touches no wall of the wanted face, or one that is not in the table"
@@ -432,12 +392,11 @@ def _off(context: Context, way: Way, look: int, error: float, level: bool) -> Is
     else:
         what = f"{claim.arms[1]} is {mm(error):.3f} mm off where the table wants it for the wall there"
     what += f" in {claim.segment}; allowed: {mm(claim.tolerance):g} mm"
-    measure = (mm(min(error, 1.0)), mm(claim.tolerance), "mm")
-    row = int(way.track.rows[way.rows[look]])
-    return at_sample("verify.adsif", what, context.motion, claim.arms[0], row, measure)
+    row = way.track.rows[way.rows[look]]
+    findings.at_sample(what, claim.arms[0], row, in_mm(min(error, 1.0), claim.tolerance))
 
 
-def _conditions(claim: FormsByTable, table: Wanted) -> Iterator[Issue]:
+def _conditions(findings: Findings, claim: FormsByTable, table: Wanted) -> None:
     """What the table holds for, against what the sheet and the tools are."""
     wanted_of = {
         "thickness_mm": claim.thickness,
@@ -447,15 +406,15 @@ def _conditions(claim: FormsByTable, table: Wanted) -> Iterator[Issue]:
     }
     if table.conditions.get("metal") != claim.metal or claim.radii[0] != claim.radii[1]:
         what = f"the response table holds for {table.conditions.get('metal')} and tools of one radius"
-        yield Issue("verify.adsif", what, field=str(claim.segment))
+        findings.add(what, field=str(claim.segment))
     for name, value in wanted_of.items():
         held = table.conditions.get(name, "nan")
         if not abs(mm(value) - float(held)) <= TABLE_LENGTH_SHARE * float(held):
             what = f"the response table holds for {name} {held}, not for {mm(value):g}"
-            yield Issue("verify.adsif", what, field=str(claim.segment), value=mm(value), limit=float(held))
+            findings.add(what, field=str(claim.segment), value=mm(value), limit=float(held))
 
 
-def _passed(way: Way, place: FloatArray) -> Iterator[Issue]:
+def _passed(findings: Findings, way: Way, place: FloatArray) -> None:
     """Whether all of the wall is passed, from the inside out, the wanted way round."""
     claim = way.claim
     place = place[np.isfinite(place[:, 0])]
@@ -463,46 +422,32 @@ def _passed(way: Way, place: FloatArray) -> Iterator[Issue]:
         return
     points, far, apart = way.passed(place)
     step = way.rise(place[:, 2])
-    last = way.start - points[:, 2] < way.rise(
-        points[:, 2]
-    )  # loops come from the inside, whole pitches apart
-    # beyond the last loop, straight moves of a round part are off to the inside, and none makes up for it
+    last = way.start - points[:, 2] < way.rise(points[:, 2])
+    # loops come from the inside, whole pitches apart; beyond the last loop, straight moves of a round part
+    # are off to the inside, and none makes up for it
     allowed = np.where(last, 1.0 + claim.sag / claim.pitch, LOOP_GAP_SHARE) * apart + CHORD_ERROR
     k = int(np.argmax(far - allowed))
     if far[k] > allowed[k]:
-        at = ", ".join(f"{mm(x):.1f}" for x in points[k] * [1.0, 1.0, float(claim.side)])
+        at = coordinates(points[k] * [1.0, 1.0, float(claim.side)])
         what = f"{claim.segment} passes the wall at ({at}) mm by {mm(far[k]):.3f} mm"
         what += f"; loops are {mm(apart[k]):.3f} mm apart there"
-        value, limit = mm(float(far[k])), mm(float(allowed[k]))
-        yield Issue("verify.adsif", what, field=str(claim.segment), value=value, limit=limit, unit="mm")
+        findings.add(what, in_mm(far[k], allowed[k]), field=str(claim.segment))
     back = np.maximum.accumulate(place[:, 2]) - place[:, 2]
     if (back > BACKWARD_LOOPS * step).any():
         k = int(np.argmax(back - BACKWARD_LOOPS * step))
         what = f"{claim.segment} goes back to the inside by {mm(back[k]):.3f} mm of height"
-        yield Issue(
-            "verify.adsif",
-            what,
-            field=str(claim.segment),
-            value=mm(back[k]),
-            limit=mm(BACKWARD_LOOPS * step[k]),
-        )
+        value, limit, _ = in_mm(back[k], BACKWARD_LOOPS * step[k])
+        findings.add(what, field=str(claim.segment), value=value, limit=limit)
     middle = points.mean(axis=0)
     arm, move = (place - middle)[:-1, :2], np.diff(place[:, :2], axis=0)
     area = claim.turning * (arm[:, 0] * move[:, 1] - arm[:, 1] * move[:, 0])
     share = float(np.maximum(area, 0.0).sum() / max(float(np.abs(area).sum()), 1e-30))
     if share < WANTED_TURN_SHARE:
         what = f"{claim.segment} goes round the wrong way for {100 * (1 - share):.0f} % of its way"
-        yield Issue(
-            "verify.adsif",
-            what,
-            field=str(claim.segment),
-            value=100 * share,
-            limit=100 * WANTED_TURN_SHARE,
-            unit="%",
-        )
+        findings.add(what, in_percent(share, WANTED_TURN_SHARE), field=str(claim.segment))
 
 
-def _upright(context: Context, way: Way) -> Iterator[Issue]:
+def _upright(findings: Findings, way: Way) -> None:
     """Whether both tools are square to the sheet."""
     claim = way.claim
     for column, toward in ((0, -1.0), (1, 1.0)):
@@ -511,12 +456,10 @@ def _upright(context: Context, way: Way) -> Iterator[Issue]:
             arm = claim.arms[column]
             what = f"{arm} leans {np.rad2deg(lean[i]):.2f} deg in {claim.segment}"
             what += f"; allowed: {np.rad2deg(claim.lean):.2f} deg"
-            measure = (float(np.rad2deg(lean[i])), float(np.rad2deg(claim.lean)), "deg")
-            row = int(way.track.rows[way.rows[i]])
-            yield at_sample("verify.adsif", what, context.motion, arm, row, measure)
+            findings.at_sample(what, arm, way.track.rows[way.rows[i]], in_degrees(lean[i], claim.lean))
 
 
-def _ways(context: Context, way: Way) -> Iterator[Issue]:
+def _ways(findings: Findings, way: Way) -> None:
     """Whether tools are in the sheet, on their ways in and out, only where their segment begins and ends, and
     no deeper than there."""
     claim, track = way.claim, way.track
@@ -540,5 +483,4 @@ def _ways(context: Context, way: Way) -> Iterator[Issue]:
                     f"on its way to or from {claim.segment} {arm} is {mm(inside[i]):.3f} mm in the sheet, "
                     f"{mm(gone[i]):.3f} mm beside the place where it begins or ends"
                 )
-                row = int(track.rows[rows[i]])
-                yield at_sample("verify.adsif", what, context.motion, arm, row)
+                findings.at_sample(what, arm, track.rows[rows[i]])

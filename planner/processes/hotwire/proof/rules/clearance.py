@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from planner.cell.clearance import Against, edge
 from planner.geometry.arrays import FloatArray, IntArray
-from planner.issues import Issue
 from planner.processes.hotwire.proof.wire_motion import WIRES
 from planner.proof.context import Context
+from planner.proof.findings import Findings, in_mm
 from planner.proof.models import MODELS
-from planner.proof.rule import Outcome, at_sample, mm, rule
+from planner.proof.rule import Outcome, mm, rule
 from planner.proof.rules.clearance import accepted
 
 _NEAR_CLAMP_M = 0.02
@@ -20,8 +22,8 @@ _NEAR_CLAMP_M = 0.02
 @rule("verify.wire_clearance", ahead="wires")
 def wire_bodies(context: Context) -> Outcome:
     """A bent wire keeps clear of everything, but of the stock only where it does not cut."""
-    models, issues = context.get(MODELS), list[Issue]()
-    series, least, where = dict[str, FloatArray](), np.inf, ""
+    models, findings = context.get(MODELS), Findings("verify.wire_clearance", context, worst=np.inf)
+    series = dict[str, FloatArray]()
     limit = context.problem.settings.clearance
     for number, wire in enumerate(context.get(WIRES), 1):
         distance = np.full(len(wire.sample), np.nan)
@@ -52,14 +54,8 @@ def wire_bodies(context: Context) -> Outcome:
                     f"the wire comes within {mm(found.distance[i]):.2f} mm of {' and '.join(pair)}; "
                     f"allowed: {mm(limit):.2f} mm"
                 )
-                measure = (mm(found.distance[i]), mm(limit), "mm")
-                sample, arm = int(rows[i]), wire.arms[0]
-                issues.append(
-                    at_sample("verify.wire_clearance", message, context.motion, arm, sample, measure, pair)
-                )
+                measure = in_mm(found.distance[i], limit)
+                findings.at_sample(message, wire.arms[0], rows[i], measure, pair)
             k = found.worst()
-            if found.distance[k] < least:
-                least, where = float(found.distance[k]), " and ".join(found.pair[k])
-    if not np.isfinite(least):
-        return Outcome(tuple(issues), nothing="no bent wire", series=series)
-    return Outcome(tuple(issues), mm(least), mm(limit), "mm", where, series=series)
+            findings.lowest(found.distance[k], " and ".join(found.pair[k]))
+    return dataclasses.replace(findings.outcome(mm, "mm", limit, nothing="no bent wire"), series=series)

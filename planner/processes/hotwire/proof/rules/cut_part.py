@@ -13,17 +13,17 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
-from planner.issues import Issue
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings, SlitsAllowed
 from planner.processes.hotwire.proof.cut_surface import Sweep, cut_face, deepest, part_obj, unreached
-from planner.processes.hotwire.proof.rules.wire import wire_issue
+from planner.processes.hotwire.proof.rules.wire import at_wire
 from planner.processes.hotwire.proof.slits import in_slit, slits
 from planner.processes.hotwire.proof.walls import PartWalls, taken_by_bent, taken_depth, walls
 from planner.processes.hotwire.proof.wire_motion import WIRES, Wire, end_error, to_block
 from planner.proof.context import Context
 from planner.proof.facts import Fact
+from planner.proof.findings import Findings, coordinates, in_mm, in_percent
 from planner.proof.replay.motion import during, local
-from planner.proof.rule import Outcome, at_sample, mm, rule
+from planner.proof.rule import Outcome, mm, rule
 from planner.proof.verdict import CutFace
 
 
@@ -66,7 +66,8 @@ def surface(context: Context) -> Outcome:
     """The cut surface is within tolerance of the wanted one for the wanted share of it, and in that segment
     the wire nowhere runs much deeper into the part."""
     rows, faces = context.get(SWEEPS), context.get(CUT_FACES)
-    issues = _gouges(context, rows)
+    findings = Findings("verify.surface", context)
+    _gouges(findings, rows)
     for face in faces:
         if face.share < face.wanted_share:
             message = (
@@ -74,35 +75,17 @@ def surface(context: Context) -> Outcome:
                 f"wanted surface; wanted: {100 * face.wanted_share:g} % "
                 f"(rms {mm(face.rms):.3f} mm, largest {mm(face.largest):.3f} mm)"
             )
-            issues.append(
-                Issue(
-                    "verify.surface",
-                    message,
-                    field=face.title,
-                    value=100 * face.share,
-                    limit=100 * face.wanted_share,
-                    unit="%",
-                )
-            )
+            findings.add(message, in_percent(face.share, face.wanted_share), field=face.title)
         area = face.area / max(float(face.area.sum()), 1e-30)
         missed = float(area[~np.isfinite(face.deviation)].sum())
         if missed > 1.0 - face.wanted_share:
             message = f"the wire does not pass over {100 * missed:.2f} % of {face.segment}"
-            issues.append(
-                Issue(
-                    "verify.surface",
-                    message,
-                    field=face.title,
-                    value=100 * missed,
-                    limit=100 * (1 - face.wanted_share),
-                    unit="%",
-                )
-            )
+            findings.add(message, in_percent(missed, 1 - face.wanted_share), field=face.title)
     if not faces:
         return Outcome(nothing="no face is claimed")
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     return Outcome(
-        tuple(issues),
+        tuple(findings.issues),
         100 * worst.share,
         100 * worst.wanted_share,
         "% within tolerance",
@@ -130,11 +113,11 @@ def _reachable(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
     return dataclasses.replace(face, share=float(face.area[good].sum() / max(face.area.sum(), 1e-30)))
 
 
-def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:
+def _gouges(findings: Findings, rows: tuple[Sweep, ...]) -> None:
     """Faces into which the wire cuts besides: the nearest sheet of several hides those beneath it. Straight
     wires keep to their rulings all along, which is more."""
+    context = findings.context
     ruled = {claim.segment.key for claim in context.of(FollowsRulings)}
-    issues = []
     for claim, sweep in zip(context.of(CutsSurface), rows, strict=True):
         if len(sweep.points) < 2 or claim.segment.key in ruled:
             continue
@@ -143,9 +126,7 @@ def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:
         limit = GOUGE_TOLERANCES * claim.tolerance + BENT_FACE_ERROR
         if deep > limit:
             what = f"the wire runs {mm(deep):.2f} mm deep below {claim.segment}; allowed: {mm(limit):g} mm"
-            measure = {"value": mm(deep), "limit": mm(limit), "unit": "mm"}
-            issues.append(Issue("verify.surface", what, field=str(claim.segment), **measure))  # type: ignore[arg-type]
-    return issues
+            findings.add(what, in_mm(deep, limit), field=str(claim.segment))
 
 
 ERROR_STATIONS = 5
@@ -178,29 +159,23 @@ def with_end_error(
 def ridges(context: Context) -> Outcome:
     """No target of a bent wire stands out of the smooth surface that its neighbours make by more than the
     tolerance; a straight one is held against its rulings, which may have edges."""
-    wires = context.get(WIRES)
-    issues, worst, limit, where = [], 0.0, None, ""
+    findings = Findings("verify.ridge", context)
     nodes = context.motion.node_sample
     ruled = {claim.segment.key for claim in context.of(FollowsRulings)}
     for claim in context.of(CutsSurface):
-        for wire in wires if claim.segment.key not in ruled else ():
+        for wire in context.get(WIRES) if claim.segment.key not in ruled else ():
             rows = np.flatnonzero((wire.labels == claim.segment.key) & np.isin(wire.sample, nodes))
             if wire.fault or len(rows) < 5:
                 continue
             out = _standing_out(wire.points[rows], wire.inside[rows])
-            k = int(np.argmax(out))
-            if limit is None or out[k] > worst:
-                worst, limit, where = float(out[k]), mm(claim.tolerance), str(claim.segment)
+            findings.highest(out.max(), claim.segment, claim.tolerance)
             for i in np.flatnonzero(out > claim.tolerance)[:50]:
                 message = (
                     f"the wire is {mm(out[i]):.3f} mm off the surface of its neighbours: a ridge or groove; "
                     f"allowed: {mm(claim.tolerance):g} mm"
                 )
-                measure = (mm(float(out[i])), mm(claim.tolerance), "mm")
-                sample = int(wire.sample[rows[i]])
-                arm = wire.arms[0]
-                issues.append(at_sample("verify.ridge", message, context.motion, arm, sample, measure))
-    return Outcome(tuple(issues), mm(worst), limit, "mm", where, "" if where else "no face is claimed")
+                at_wire(findings, wire, message, rows[i], in_mm(out[i], claim.tolerance))
+    return findings.outcome(mm, "mm", nothing="no face is claimed")
 
 
 def _standing_out(points: FloatArray, inside: BoolArray) -> FloatArray:
@@ -244,9 +219,7 @@ def part(context: Context) -> Outcome:
     """On its ways in and out the wire's slot keeps off the part, within the tolerance, but for one plane
     slit to what the part lies around; sides of the datum block are cut from outside. Beside a surface the
     slot keeps off all the others, those that are cut already and those to come."""
-    wires = context.get(WIRES)
-    issues: list[Issue] = []
-    worst, where = np.inf, ""
+    wires, findings = context.get(WIRES), Findings("verify.part", context, worst=np.inf)
     own = {claim.segment.key for claim in context.of(CutsSurface)}
     wanted = tuple(claim for claim in context.of(CutsSurface) if not _is_side(context, claim))
     bounds = _Bounds(context, wanted)
@@ -275,25 +248,21 @@ def part(context: Context) -> Outcome:
             room = room - half + tolerance
             if not np.isfinite(room).any():
                 continue
-            k = int(np.nanargmin(room))
-            if room[k] < worst:
-                worst, where = float(room[k]), label
+            findings.lowest(np.nanmin(room), label)
             for i in np.flatnonzero(room < 0.0)[:20]:
-                deep = mm(float(tolerance[i] - room[i]))
+                deep = float(tolerance[i] - room[i])
                 what = (
-                    f"in {label} the slot is {deep:.2f} mm inside the part; allowed: {mm(tolerance[i]):g} mm"
+                    f"in {label} the slot is {mm(deep):.2f} mm inside the part; "
+                    f"allowed: {mm(tolerance[i]):g} mm"
                 )
-                measure = (deep, mm(float(tolerance[i])), "mm")
-                issues.append(wire_issue(context, wire, "verify.part", what, int(row[i]), *measure))
-    issues += _beside(context, bounds.walls)
-    if not np.isfinite(worst):
-        return Outcome(tuple(issues), nothing="no way in or out in the foam beside the part")
-    return Outcome(tuple(issues), mm(worst), 0.0, "mm left", where)
+                at_wire(findings, wire, what, row[i], in_mm(deep, tolerance[i]))
+    _beside(findings, bounds.walls)
+    return findings.outcome(mm, "mm left", 0.0, nothing="no way in or out in the foam beside the part")
 
 
-def _beside(context: Context, part: PartWalls) -> list[Issue]:
+def _beside(findings: Findings, part: PartWalls) -> None:
     """What slots take from other surfaces than those beside which they cut."""
-    issues: list[Issue] = []
+    context = findings.context
     straight = {claim.segment.key for claim in context.of(FollowsRulings)}
     for claim, sweep in zip(context.of(CutsSurface), context.get(SWEEPS), strict=True):
         if len(sweep.points) < 2:
@@ -303,15 +272,12 @@ def _beside(context: Context, part: PartWalls) -> list[Issue]:
             found = None if other is claim else take(claim, sweep, other, part)
             if found is None:
                 continue
-            x, y, z = (mm(float(value)) for value in found.place)
             what = (
                 f"beside {claim.segment} the slot of {mm(2.0 * found.half):.2f} mm takes "
-                f"{mm(found.depth):.2f} mm off {other.segment} at [{x:.1f}, {y:.1f}, {z:.1f}] mm; "
+                f"{mm(found.depth):.2f} mm off {other.segment} at [{coordinates(found.place)}] mm; "
                 f"allowed: {mm(other.tolerance):g} mm"
             )
-            measure = {"value": mm(found.depth), "limit": mm(other.tolerance), "unit": "mm"}
-            issues.append(Issue("verify.part", what, field=str(claim.segment), **measure))  # type: ignore[arg-type]
-    return issues
+            findings.add(what, in_mm(found.depth, other.tolerance), field=str(claim.segment))
 
 
 class _Bounds:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from planner.claims.dialogue import OperatorDialogue
-from planner.issues import Issue
 from planner.processes.hotwire import sentences as hotwire_sentences
 from planner.processes.hotwire.claims import FollowsRulings, WireJoins
 from planner.processes.hotwire.proof.rules.straight_wire import guide_normals, off_guide
@@ -15,8 +14,9 @@ from planner.processes.hotwire.proof.wire_motion import WIRES, Wire
 from planner.programs.dialogue_text import tolerance
 from planner.proof.context import Context
 from planner.proof.dialogue import Place, spoken_steps, wanted_dialogue
+from planner.proof.findings import Findings
 from planner.proof.replay.motion import local
-from planner.proof.rule import Outcome, at_step, rule
+from planner.proof.rule import Outcome, rule
 from planner.proof.rules.dialogue import Heard, compare_steps
 
 DIALOGUE_FIGURES = "verify.dialogue_figures"
@@ -37,8 +37,7 @@ def message_figures(context: Context) -> Outcome:
     clamps of a bent wire are apart and how it leaves them, how thick spacers are."""
     wires = context.get(WIRES)
     found, said = wanted_dialogue(context), spoken_steps(context.job)
-    issues: list[Issue] = []
-    worst = 0.0
+    findings = Findings(DIALOGUE_FIGURES, context, worst=0.0)
     for task in context.job.tasks:
         heard, _ = compare_steps(task, found[task.name], said[task.name], found)
         for one in heard:
@@ -46,14 +45,13 @@ def message_figures(context: Context) -> Outcome:
                 continue
             for name, value, slack in _of_motion(context, wires, one):
                 shown = float(one.fit.figures[name])
-                worst = max(worst, abs(shown - value) / slack)
+                findings.highest(abs(shown - value) / slack)
                 if not abs(shown - value) <= slack:
                     what = f"{name} is told to be {shown:g}; by the motion it is {value:.2f}"
-                    issues.append(at_step(DIALOGUE_FIGURES, what, task, one.spoken.step, "plan again"))
-    limit = 1.0 if worst else None
-    return Outcome(
-        tuple(issues), worst or None, limit, "of rounding", nothing="" if worst else "no such figures"
-    )
+                    findings.at_step(what, task, one.spoken.step, "plan again")
+    if not findings.measured:
+        return Outcome(tuple(findings.issues), unit="of rounding", nothing="no such figures")
+    return findings.outcome(float, "of rounding", 1.0)
 
 
 def _of_motion(context: Context, wires: tuple[Wire, ...], heard: Heard) -> Iterator[tuple[str, float, float]]:

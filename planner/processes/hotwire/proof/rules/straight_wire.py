@@ -6,12 +6,12 @@ verify.slit: where a straight wire comes from, and what its slit takes of the pa
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, inverse
-from planner.issues import Issue
 from planner.problem import Stock
 from planner.processes.hotwire.claims import (
     CutsSurface,
@@ -23,10 +23,11 @@ from planner.processes.hotwire.claims import (
 )
 from planner.processes.hotwire.proof.cut_surface import unreached
 from planner.processes.hotwire.proof.rules.cut_part import CUT_FACES
-from planner.processes.hotwire.proof.rules.wire import wire_issue
+from planner.processes.hotwire.proof.rules.wire import at_wire
 from planner.processes.hotwire.proof.slits import SLIT_ROUNDING, Slit, off_lead, slits, way_in
 from planner.processes.hotwire.proof.wire_motion import WIRES, Wire, straight_claims
 from planner.proof.context import Context
+from planner.proof.findings import Findings, coordinates, in_mm
 from planner.proof.replay.motion import during, local
 from planner.proof.rule import FEED_SLACK, Outcome, mm, rule
 from planner.tooling import Bow, Tool
@@ -49,31 +50,26 @@ _PAIRS_AT_ONCE = 400_000
 def bow(context: Context) -> Outcome:
     """Wherever a straight wire is in the foam, both its clamps are outside by the wanted length of wire; it
     is the wire of the bow that is mounted."""
-    wires = context.get(WIRES)
-    issues, least, limit = [], np.inf, None
-    for wire in wires:
+    findings = Findings("verify.bow", context, worst=np.inf)
+    for wire in context.get(WIRES):
         claim = wire.claim
         if not isinstance(claim, StraightWire) or wire.fault:
             continue
         if not _is_edge(claim, context.setups[wire.setup].cell.arm(claim.arm).tool):
             what = f"the tool of {claim.arm} in setup {wire.setup + 1} has another wire than the claimed one"
-            issues.append(Issue("verify.bow", what, arm=claim.arm))
+            findings.add(what, arm=claim.arm)
         margin = max(c.margin for c in straight_claims(context.setup_claims[wire.setup])[claim.arm])
         free = free_lengths(wire.points[:, 0], wire.points[:, -1], context.stock(wire.setup))
         short = free.min(axis=1)
         rows = np.flatnonzero(np.isfinite(short))
-        if len(rows) and short[rows].min() < least:
-            least, limit = float(short[rows].min()), mm(margin)
+        findings.lowest(short[rows].min(initial=np.inf), limit=margin)
         for k in rows[short[rows] < margin - CLAMP_ROUNDING][:50]:
             what = (
                 f"the {'start' if free[k, 0] < free[k, 1] else 'end'} of the wire is free for "
                 f"{mm(short[k]):.2f} mm beside the block; allowed: {mm(margin):g} mm"
             )
-            measure = (mm(float(short[k])), mm(margin), "mm")
-            issues.append(wire_issue(context, wire, "verify.bow", what, int(k), *measure))
-    if not np.isfinite(least):
-        return Outcome(tuple(issues), nothing="no straight wire in the foam")
-    return Outcome(tuple(issues), mm(least), limit, "mm")
+            at_wire(findings, wire, what, k, in_mm(short[k], margin))
+    return findings.outcome(mm, "mm", nothing="no straight wire in the foam")
 
 
 def _is_edge(claim: StraightWire, tool: Tool) -> bool:
@@ -110,8 +106,7 @@ def free_lengths(start: FloatArray, end: FloatArray, stock: Stock) -> FloatArray
 def kerf(context: Context) -> Outcome:
     """The slot is as wide as wanted wherever the wire passes the part's surface, at its speed there."""
     faces, wires = context.get(CUT_FACES), context.get(WIRES)
-    issues: list[Issue] = []
-    worst, limit, where = 0.0, None, ""
+    findings = Findings("verify.kerf", context, worst=0.0)
     for claim in context.of(KerfWithin):
         passed = [face for face in faces if face.segment.key == claim.segment.key]
         speeds = [face.speed[np.isfinite(face.speed)] for face in passed]
@@ -120,15 +115,14 @@ def kerf(context: Context) -> Outcome:
         speed = np.concatenate([*speeds, np.zeros(0)])
         if not len(speed):
             what = f"{claim.segment} is not cut, so that its slot has no width"
-            issues.append(Issue("verify.kerf", what, field=str(claim.segment)))
+            findings.add(what, field=str(claim.segment))
             continue
         width = claim.kerf.at(speed)
         # ramps and corners of the replay may differ from the planned speed as far as the feed may
         narrow = claim.kerf.at(speed / FEED_SLACK) < claim.lower
         wide = claim.kerf.at(speed * FEED_SLACK) > claim.upper
         share = np.maximum(width / claim.upper, claim.lower / np.maximum(width, 1e-9))
-        if share.max() > worst:
-            worst, limit, where = float(share.max()), 1.0, str(claim.segment)
+        findings.highest(share.max(), claim.segment, 1.0)
         for bad, word in ((narrow, "narrow: the wire drags"), (wide, "wide: the foam burns")):
             if bad.any():
                 k = int(np.argmax(np.where(bad, share, 0.0)))
@@ -136,10 +130,10 @@ def kerf(context: Context) -> Outcome:
                     f"at {mm(speed[k]):.2f} mm/s the slot of {claim.segment} is {mm(width[k]):.3f} mm "
                     f"{word}; allowed: {mm(claim.lower):g} to {mm(claim.upper):g} mm"
                 )
-                bound = mm(claim.upper if bad is wide else claim.lower)
-                value = {"value": mm(float(width[k])), "limit": bound, "unit": "mm"}
-                issues.append(Issue("verify.kerf", what, field=str(claim.segment), **value))  # type: ignore[arg-type]
-    return Outcome(tuple(issues), worst, limit, "of the bounds", where, "" if where else "no such claim")
+                measure = in_mm(width[k], claim.upper if bad is wide else claim.lower)
+                findings.add(what, measure, field=str(claim.segment))
+    out = findings.outcome(float, "of the bounds")
+    return dataclasses.replace(out, nothing="" if findings.where else "no such claim")
 
 
 def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
@@ -152,13 +146,11 @@ def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
 def rulings(context: Context) -> Outcome:
     """All along a ruled surface, at and between targets, the straight wire is half a kerf off both guide
     lines, on their outer side, and passes all of both as near as a round wire can."""
-    wires = context.get(WIRES)
-    issues: list[Issue] = []
-    worst, limit, where = 0.0, None, ""
+    findings = Findings("verify.rulings", context)
     for claim in context.of(FollowsRulings):
         label = claim.segment.key
         seen = False
-        for wire in wires:
+        for wire in context.get(WIRES):
             rows = np.flatnonzero(wire.labels == label)
             if wire.fault or wire.setup != context.setup_of(claim) or len(rows) < 2:
                 continue
@@ -168,22 +160,20 @@ def rulings(context: Context) -> Outcome:
             normal = guide_normals(claim)
             for name, guide, side in zip(("start", "end"), (claim.start, claim.end), normal, strict=True):
                 off, half = off_guide(points, speed, guide, side, claim)
-                k = int(np.argmax(off))
-                if limit is None or off[k] > worst:
-                    worst, limit, where = float(off[k]), mm(claim.tolerance), str(claim.segment)
+                findings.highest(off.max(), claim.segment, claim.tolerance)
                 for i in np.flatnonzero(off > claim.tolerance)[:20]:
                     what = (
                         f"the wire is {mm(off[i]):.3f} mm off its distance to the {name} line of "
                         f"{claim.segment}; allowed: {mm(claim.tolerance):g} mm"
                     )
-                    measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
-                    issues.append(wire_issue(context, wire, "verify.rulings", what, int(rows[i]), *measure))
+                    at_wire(findings, wire, what, rows[i], in_mm(off[i], claim.tolerance))
                 whole = np.flatnonzero(during(wire.labels == label))
                 passes = wire.points[whole], np.diff(whole) == 1
-                issues += _missed(claim, name, guide, float(half.max()), passes)
+                _missed(findings, claim, name, guide, float(half.max()), passes)
         if not seen:
-            issues.append(Issue("verify.rulings", f"{claim.segment} is not cut", field=str(claim.segment)))
-    return Outcome(tuple(issues), mm(worst), limit, "mm", where, "" if where else "no such claim")
+            findings.add(f"{claim.segment} is not cut", field=str(claim.segment))
+    out = findings.outcome(mm, "mm")
+    return out if findings.where else dataclasses.replace(out, worst=0.0, nothing="no such claim")
 
 
 def between(points: FloatArray, speed: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -267,8 +257,13 @@ def off_guide(
 
 
 def _missed(
-    claim: FollowsRulings, name: str, guide: FloatArray, half: float, passes: tuple[FloatArray, BoolArray]
-) -> list[Issue]:
+    findings: Findings,
+    claim: FollowsRulings,
+    name: str,
+    guide: FloatArray,
+    half: float,
+    passes: tuple[FloatArray, BoolArray],
+) -> None:
     """Places of a guide line that no sheet between two stations passes as near as a round wire can with half
     a slot of ``half`` [m], and those at which that leaves more than is allowed."""
     places, share = _marks(guide)
@@ -277,25 +272,18 @@ def _missed(
     rows = np.flatnonzero(far > half + within)
     more = unreached(claim, places[rows], half)
     missed = rows[far[rows] > half + within + more]
-    issues = []
     if len(missed):
         long = mm(len(missed) * share)
         what = f"the wire does not pass {long:.1f} mm of the {name} line of {claim.segment}"
-        issues.append(Issue("verify.rulings", what, field=str(claim.segment)))
+        findings.add(what, field=str(claim.segment))
     left = float(more.max(initial=0.0))
     if left > claim.left + GUIDE_SLACK:
         k = int(rows[int(np.argmax(more))])
         what = (
-            f"at {_place(places[k])} of {claim.segment} a round wire leaves {mm(min(left, 1.0)):.2f} mm "
-            f"or more on the part; allowed: {mm(claim.left):g} mm"
+            f"at [{coordinates(places[k])}] mm of {claim.segment} a round wire leaves "
+            f"{mm(min(left, 1.0)):.2f} mm or more on the part; allowed: {mm(claim.left):g} mm"
         )
-        measure = {"value": mm(min(left, 1.0)), "limit": mm(claim.left), "unit": "mm"}
-        issues.append(Issue("verify.rulings", what, field=str(claim.segment), **measure))  # type: ignore[arg-type]
-    return issues
-
-
-def _place(point: FloatArray) -> str:
-    return "[" + ", ".join(f"{mm(float(value)):.1f}" for value in point) + "] mm"
+        findings.add(what, in_mm(min(left, 1.0), claim.left), field=str(claim.segment))
 
 
 def _marks(guide: FloatArray) -> tuple[FloatArray, float]:
@@ -333,28 +321,26 @@ LEAST_SLIT = 1e-4
 def slit(context: Context) -> Outcome:
     """The wire comes to a cut from where the problem says; a slit through the part is one plane for both
     ways, not longer there than it has to be, and takes nothing along other contours."""
-    wires = context.get(WIRES)
+    wires, findings = context.get(WIRES), Findings("verify.slit", context, worst=0.0)
     leads = [claim for claim in context.claims if isinstance(claim, LeadsFrom)]
-    issues = [issue for claim in leads for issue in _lead(context, wires, claim)]
-    worst, where = 0.0, ""
+    for claim in leads:
+        _lead(findings, wires, claim)
     for wire in wires:
         for one in slits(context, wire).values():
             if one.used <= LEAST_SLIT:
                 continue
-            allowed = one.allowed
-            if one.used / allowed > worst:
-                worst, where = one.used / allowed, str(one.segment)
-            issues += [
-                wire_issue(context, wire, "verify.slit", what, row, mm(got), mm(limit), "mm")
-                for what, row, got, limit in _faults(one, allowed)
-            ]
-    if not where and not leads:
-        return Outcome(tuple(issues), nothing="no slit through the part and no stated lead")
-    return Outcome(tuple(issues), worst, 1.0, "of what is allowed", where or str(leads[0].segment))
+            findings.highest(one.used / one.allowed, one.segment)
+            for what, row, got, limit in _faults(one, one.allowed):
+                at_wire(findings, wire, what, row, in_mm(got, limit))
+    if not findings.where and not leads:
+        return findings.outcome_without_value("no slit through the part and no stated lead")
+    out = findings.outcome(float, "of what is allowed", 1.0)
+    return dataclasses.replace(out, where=out.where or str(leads[0].segment))
 
 
-def _lead(context: Context, wires: tuple[Wire, ...], claim: LeadsFrom) -> Iterator[Issue]:
+def _lead(findings: Findings, wires: tuple[Wire, ...], claim: LeadsFrom) -> None:
     """What is wrong with the way in to a cut whose direction is stated."""
+    context = findings.context
     surface = next((c for c in context.of(CutsSurface) if c.segment == claim.segment), None)
     setup = context.setup_of(claim)
     here = [wire for wire in wires if not wire.fault and wire.setup == setup]
@@ -371,9 +357,9 @@ def _lead(context: Context, wires: tuple[Wire, ...], claim: LeadsFrom) -> Iterat
                 f"the wire comes to {claim.segment} {mm(off):.2f} mm beside the stated direction; "
                 f"allowed: {mm(limit):g} mm"
             )
-            yield wire_issue(context, wire, "verify.slit", what, k, mm(off), mm(limit), "mm")
+            at_wire(findings, wire, what, k, in_mm(off, limit))
     if not found:
-        yield Issue("verify.slit", f"nothing leads to {claim.segment}", field=str(claim.segment))
+        findings.add(f"nothing leads to {claim.segment}", field=str(claim.segment))
 
 
 def _faults(one: Slit, allowed: float) -> Iterator[tuple[str, int, float, float]]:

@@ -6,19 +6,21 @@ verify.wire_power, signals: on and hot in the foam, off at hands, switched in on
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from planner.claims.claim import ContactOnlyIn, FeedWindow
 from planner.geometry.arrays import FloatArray, inverse
-from planner.issues import Issue
 from planner.processes.hotwire.claims import WireJoins
 from planner.processes.hotwire.proof.wire_motion import WIRES, Wire, end_distances, mounted
 from planner.programs.steps import MessageStep, SignalStep, WaitStep
 from planner.proof.context import Context
+from planner.proof.findings import Findings, in_mm, percent
 from planner.proof.replay import standing
 from planner.proof.replay.motion import steps_across
 from planner.proof.replay.tool_speeds import LEAST_PART, STANDS, tool_speeds
-from planner.proof.rule import FEED_SLACK, Outcome, at_sample, at_step, mm, rule
+from planner.proof.rule import FEED_SLACK, Measure, Outcome, mm, rule
 from planner.proof.rules.power import all_steps
 from planner.proof.setups import Phase
 
@@ -35,154 +37,95 @@ MELTING_DISTANCE = 1e-3
 @rule("verify.wire_length", WireJoins)
 def wire_length(context: Context) -> Outcome:
     """The ends of the wire are never farther apart than it is long, and it can be mounted."""
-    wires = context.get(WIRES)
-    issues, worst, where = [], 0.0, ""
-    for wire in wires:
+    findings = Findings("verify.wire_length", context, worst=0.0)
+    for wire in context.get(WIRES):
         claim = wire.claim
         if wire.fault:
-            issues.append(Issue("verify.wire_length", f"the wire cannot be followed: {wire.fault}"))
+            findings.add(f"the wire cannot be followed: {wire.fault}")
             continue
         if wire.path is None or wire.phase is None or not isinstance(claim, WireJoins):
             continue
         share = end_distances(context, wire.phase) / claim.length
-        worst = max(worst, float(share.max()))
-        if share.max() >= TAUT_SHARE:
-            message = (
-                f"the ends are {mm(share.max() * claim.length):.3f} mm apart; the wire is "
-                f"{mm(claim.length):.3f} mm long"
-            )
-            k = int(np.argmax(share))
-            issues.append(
-                Issue(
-                    "verify.wire_length",
-                    message,
-                    index=k,
-                    value=mm(share.max() * claim.length),
-                    limit=mm(claim.length),
-                    unit="mm",
-                )
-            )
+        k = int(np.argmax(share))
+        findings.highest(share[k])
+        if share[k] >= TAUT_SHARE:
+            apart = share[k] * claim.length
+            message = f"the ends are {mm(apart):.3f} mm apart; the wire is {mm(claim.length):.3f} mm long"
+            findings.add(message, in_mm(apart, claim.length), index=k)
         if wire.path.residual.max() > MOST_RESIDUAL:
-            issues.append(
-                wire_issue(
-                    context,
-                    wire,
-                    "verify.wire_length",
-                    "no shape of the wire meets both clamps",
-                    int(np.argmax(wire.path.residual)),
-                )
-            )
+            what = "no shape of the wire meets both clamps"
+            at_wire(findings, wire, what, int(np.argmax(wire.path.residual)))
     claimed, there = len(context.of(WireJoins)), len(mounted(context))
     if there < claimed:
-        what = f"{claimed} bent wires are claimed; the programs move {there} together"
-        issues.append(Issue("verify.wire_length", what))
+        findings.add(f"{claimed} bent wires are claimed; the programs move {there} together")
     if not context.phases:
-        return Outcome(tuple(issues), nothing="no bent wire")
-    return Outcome(tuple(issues), 100.0 * worst, 100.0 * TAUT_SHARE, "% of its length", where)
+        return findings.outcome_without_value("no bent wire")
+    return findings.outcome(percent, "% of its length", TAUT_SHARE)
 
 
 @rule("verify.wire_stability", WireJoins)
 def wire_stability(context: Context) -> Outcome:
     """The wire's shape is stable all along and never snaps to another one."""
-    wires = context.get(WIRES)
-    issues, least = [], np.inf
-    for wire in wires:
-        if wire.path is None:
-            continue
-        least = min(least, float(wire.path.min_eig.min()))
-        for k in np.flatnonzero(wire.path.jump)[:50]:
-            message = f"the wire snaps to another shape and moves by {mm(wire.path.moved[k]):.1f} mm"
-            issues.append(
-                wire_issue(
-                    context,
-                    wire,
-                    "verify.wire_stability",
-                    message,
-                    int(k),
-                    mm(float(wire.path.moved[k])),
-                    0.0,
-                    "mm",
-                )
-            )
-        lost = "the wire has no stable shape near the one it had"
-        issues += [
-            wire_issue(context, wire, "verify.wire_stability", lost, int(k))
-            for k in np.flatnonzero(~wire.path.stable)[:50]
-        ]
-    return Outcome(
-        tuple(issues),
-        None if not np.isfinite(least) else least,
-        0.0,
-        "of the first mode",
-        nothing="" if any(wire.path is not None for wire in wires) else "no bent wire",
-    )
+    findings = Findings("verify.wire_stability", context, worst=np.inf)
+    bent = [(wire, wire.path) for wire in context.get(WIRES) if wire.path is not None]
+    for wire, path in bent:
+        findings.lowest(path.min_eig.min())
+        for k in np.flatnonzero(path.jump)[:50]:
+            message = f"the wire snaps to another shape and moves by {mm(path.moved[k]):.1f} mm"
+            at_wire(findings, wire, message, k, in_mm(path.moved[k], 0.0))
+        for k in np.flatnonzero(~path.stable)[:50]:
+            at_wire(findings, wire, "the wire has no stable shape near the one it had", k)
+    out = findings.outcome(float, "of the first mode", 0.0)
+    worst = out.worst if findings.measured else None
+    return dataclasses.replace(out, worst=worst, nothing="" if bent else "no bent wire")
 
 
 @rule("verify.curvature", WireJoins)
 def curvature(context: Context) -> Outcome:
     """The wire is never bent beyond its elastic limit."""
-    wires = context.get(WIRES)
-    issues, worst, limit = [], 0.0, np.inf
-    for wire in wires:
-        if wire.path is None:
-            continue
+    findings, limit = Findings("verify.curvature", context, worst=0.0), np.inf
+    for wire in context.get(WIRES):
         claim = wire.claim
-        if not isinstance(claim, WireJoins):
+        if wire.path is None or not isinstance(claim, WireJoins):
             continue
         bend = np.linalg.norm(wire.path.curvature, axis=2).max(axis=1)
         limit = min(limit, claim.max_curvature)
-        worst = max(worst, float(bend.max()))
+        findings.highest(bend.max())
         for k in np.flatnonzero(bend > claim.max_curvature)[:200]:
             message = (
                 f"the wire is bent to a radius of {mm(1 / bend[k]):.1f} mm; allowed: "
                 f"{mm(1 / claim.max_curvature):.1f} mm"
             )
-            issues.append(
-                wire_issue(
-                    context,
-                    wire,
-                    "verify.curvature",
-                    message,
-                    int(k),
-                    float(bend[k]),
-                    claim.max_curvature,
-                    "1/m",
-                )
-            )
+            at_wire(findings, wire, message, k, (float(bend[k]), claim.max_curvature, "1/m"))
     if not np.isfinite(limit):
         return Outcome(nothing="no bent wire")
-    return Outcome(tuple(issues), worst, limit, "1/m")
+    return findings.outcome(float, "1/m", limit)
 
 
 @rule("verify.contact", ContactOnlyIn)
 def contact(context: Context) -> Outcome:
     """The wire touches the stock only in segments that cut, each of them claimed by an operation of its
     setup."""
-    wires = context.get(WIRES)
-    issues, worst = [], -np.inf
-    for wire in wires:
+    findings = Findings("verify.contact", context)
+    for wire in context.get(WIRES):
         other = ~wire.cutting
         if not len(other) or not other.any():
             continue
-        worst = max(worst, float(wire.depth[other].max()))
+        findings.highest(wire.depth[other].max())
         for k in np.flatnonzero(other & (wire.depth > 0.0))[:200]:
             message = (
                 f"the wire is {mm(wire.depth[k]):.2f} mm inside the block in segment {wire.labels[k]}; "
                 f"setup {wire.setup + 1} cuts nothing there"
             )
-            measure = mm(float(wire.depth[k])), 0.0, "mm"
-            issues.append(wire_issue(context, wire, "verify.contact", message, int(k), *measure))
-    if not np.isfinite(worst):
-        return Outcome(tuple(issues), nothing="no wire")
-    return Outcome(tuple(issues), mm(worst), 0.0, "mm")
+            at_wire(findings, wire, message, k, in_mm(wire.depth[k], 0.0))
+    return findings.outcome(mm, "mm", 0.0, nothing="no wire")
 
 
 @rule("verify.stop_in_foam")
 def stop_in_foam(context: Context) -> Outcome:
     """The wire never stands still inside the block, or so near to it that it melts foam; nor as good as
     still, where trajectories state velocities."""
-    wires = context.get(WIRES)
-    issues = []
+    wires, findings = context.get(WIRES), Findings("verify.stop_in_foam", context)
     motion = context.motion
     stands = motion.node_stop | standing.standing(context)
     for wire in wires:
@@ -190,18 +133,16 @@ def stop_in_foam(context: Context) -> Outcome:
         for k in np.flatnonzero(stops & (wire.depth > -MELTING_DISTANCE)):
             side = "inside" if wire.depth[k] > 0.0 else "off"
             message = f"the wire stops {mm(abs(wire.depth[k])):.2f} mm {side} the block"
-            issues.append(wire_issue(context, wire, "verify.stop_in_foam", message, int(k)))
-    return Outcome(tuple(issues), nothing="" if wires else "no wire")
+            at_wire(findings, wire, message, k)
+    return findings.outcome_without_value("" if wires else "no wire")
 
 
 @rule("verify.feed", FeedWindow)
 def feed(context: Context) -> Outcome:
     """The fastest point of the wire inside the block moves within the feed window; on the cubics of
     trajectories at every instant no faster, by what the tools' speeds there are to their mean."""
-    wires = context.get(WIRES)
-    issues: list[Issue] = []
-    worst, limit, where = 0.0, None, ""
-    for wire in wires:
+    findings = Findings("verify.feed", context, worst=0.0)
+    for wire in context.get(WIRES):
         speed = feed_speed(context, wire)
         fastest, slowest = _driven_feed(context, wire, speed)
         for claim in context.feeds:
@@ -212,29 +153,13 @@ def feed(context: Context) -> Outcome:
             if not len(rows):
                 continue
             share = np.maximum(fastest[rows] / claim.upper, claim.lower / np.maximum(slowest[rows], 1e-9))
-            if share.max() > worst:
-                worst, limit, where = float(share.max()), FEED_SLACK, str(claim.segment)
+            findings.highest(share.max(), claim.segment, FEED_SLACK)
             for k in rows[share > FEED_SLACK][:200]:
-                got = mm(_told(float(slowest[k]), float(fastest[k]), claim))
-                message = (
-                    f"the wire cuts at {got:.2f} mm/s; allowed: {mm(claim.lower):g} to "
-                    f"{mm(claim.upper):g} mm/s"
-                )
-                issues.append(
-                    wire_issue(
-                        context,
-                        wire,
-                        "verify.feed",
-                        message,
-                        int(k),
-                        got,
-                        mm(claim.upper),
-                        "mm/s",
-                    )
-                )
-    return Outcome(
-        tuple(issues), worst, limit, "of the window", where, "" if context.feeds else "no feed is claimed"
-    )
+                got, upper = mm(_told(float(slowest[k]), float(fastest[k]), claim)), mm(claim.upper)
+                message = f"the wire cuts at {got:.2f} mm/s; allowed: {mm(claim.lower):g} to {upper:g} mm/s"
+                at_wire(findings, wire, message, k, (got, upper, "mm/s"))
+    out = findings.outcome(float, "of the window")
+    return dataclasses.replace(out, nothing="" if context.feeds else "no feed is claimed")
 
 
 def feed_speed(context: Context, wire: Wire) -> FloatArray:
@@ -296,22 +221,17 @@ def _driven_feed(context: Context, wire: Wire, speed: FloatArray) -> tuple[Float
 def wire_mount(context: Context) -> Outcome:
     """The operator confirms that the wire is mounted before the arms move together, and that it is off
     before one moves alone."""
-    issues = []
-    for number, phase in enumerate(context.phases):
+    findings = Findings("verify.wire_mount", context)
+    for number, phase in enumerate(context.phases, 1):
         confirms = context.confirms(phase)
         here = moving(context, phase)
         if not confirms or confirms[0] > here[0]:
-            issues.append(
-                Issue(
-                    "verify.wire_mount",
-                    f"wire {number + 1} is moved before anyone confirms that it is mounted",
-                    hint="ask the operator first",
-                )
-            )
+            message = f"wire {number} is moved before anyone confirms that it is mounted"
+            findings.add(message, hint="ask the operator first")
         if not confirms or confirms[-1] < here[1]:
-            message = f"wire {number + 1}: nobody confirms that it is off before the arms move alone again"
-            issues.append(Issue("verify.wire_mount", message, hint="ask the operator first"))
-    return Outcome(tuple(issues), nothing="" if context.phases else "no wire")
+            message = f"wire {number}: nobody confirms that it is off before the arms move alone again"
+            findings.add(message, hint="ask the operator first")
+    return findings.outcome_without_value("" if context.phases else "no wire")
 
 
 def moving(context: Context, phase: Phase) -> tuple[int, int]:
@@ -326,35 +246,26 @@ def moving(context: Context, phase: Phase) -> tuple[int, int]:
     return (synchronised[0], synchronised[-1]) if synchronised else (0, 0)
 
 
-def wire_issue(
-    context: Context,
-    wire: Wire,
-    code: str,
-    message: str,
-    k: int,
-    value: float | None = None,
-    limit: float = 0.0,
-    unit: str = "",
-) -> Issue:
-    """An issue of a wire at its station ``k``, with what was got and allowed where ``value`` is given."""
-    measure = None if value is None else (value, limit, unit)
-    return at_sample(code, message, context.motion, wire.arms[0], int(wire.sample[k]), measure)
+def at_wire(
+    findings: Findings, wire: Wire, message: str, k: int | np.integer, measure: Measure | None = None
+) -> None:
+    """Add an issue about a wire at its station ``k``."""
+    findings.at_sample(message, wire.arms[0], wire.sample[k], measure)
 
 
 @rule("verify.wire_power", ContactOnlyIn)
 def wire_power(context: Context) -> Outcome:
     """The power is on and the wire hot before it touches the block, on until it has left, and off when hands
     are near it."""
-    wires = context.get(WIRES)
-    issues: list[Issue] = []
+    wires, findings = context.get(WIRES), Findings("verify.wire_power", context)
     for wire in wires:
         for claim in context.setup_claims[wire.setup].contacts:
-            issues += _power_in_contact(context, wire, claim.signal, claim.heat_up)
+            _power_in_contact(findings, wire, claim.signal, claim.heat_up)
             if wire.phase is not None:
-                issues += _power_at_hands(context, wire.phase, claim.signal)
+                _power_at_hands(findings, wire.phase, claim.signal)
     for signal in sorted({claim.signal for claim in context.contacts}):
-        issues += _power_elsewhere(context, signal)
-    return Outcome(tuple(issues), nothing="" if wires else "no wire")
+        _power_elsewhere(findings, signal)
+    return findings.outcome_without_value("" if wires else "no wire")
 
 
 def _switching(context: Context, wire: Wire, signal: str) -> list[tuple[float, float]]:
@@ -362,68 +273,58 @@ def _switching(context: Context, wire: Wire, signal: str) -> list[tuple[float, f
     return [(-np.inf, 0.0), *context.motion.switched(signal, context.switching(wire.arms))]
 
 
-def _power_in_contact(context: Context, wire: Wire, signal: str, heat_up: float) -> list[Issue]:
+def _power_in_contact(findings: Findings, wire: Wire, signal: str, heat_up: float) -> None:
     touching = np.flatnonzero(wire.depth > 0.0)
     if not len(touching):
-        return []
-    issues = []
-    switching = _switching(context, wire, signal)
+        return
+    switching = _switching(findings.context, wire, signal)
     for run in np.split(touching, np.flatnonzero(np.diff(touching) > 1) + 1):
-        first, last = context.motion.time[wire.sample[run[[0, -1]]]]
+        first, last = findings.context.motion.time[wire.sample[run[[0, -1]]]]
         before = [(time, value) for time, value in switching if time <= first]
         on = next((i for i in range(len(before), 0, -1) if not before[i - 1][1]), 0)
         if on == len(before):
-            what = f"{signal} is not on when the wire touches the block"
-            issues.append(wire_issue(context, wire, "verify.wire_power", what, int(run[0])))
+            at_wire(findings, wire, f"{signal} is not on when the wire touches the block", run[0])
         elif first - before[on][0] < heat_up - 1e-6:
             hot = float(first - before[on][0])
             what = f"the wire touches the block {hot:.1f} s after {signal} is on; it needs {heat_up:g} s"
-            issues.append(
-                wire_issue(context, wire, "verify.wire_power", what, int(run[0]), hot, heat_up, "s")
-            )
+            at_wire(findings, wire, what, run[0], (hot, heat_up, "s"))
         if any(not value and first < time < last for time, value in switching):
-            what = f"{signal} goes off while the wire is in the block"
-            issues.append(wire_issue(context, wire, "verify.wire_power", what, int(run[-1])))
-    return issues
+            at_wire(findings, wire, f"{signal} goes off while the wire is in the block", run[-1])
 
 
-def _power_at_hands(context: Context, phase: Phase, signal: str) -> list[Issue]:
+def _power_at_hands(findings: Findings, phase: Phase, signal: str) -> None:
     """Off at the first confirmation (mounting) and the last one (taking off), and heated up by waiting, not
     by moving."""
-    issues = []
-    steps = context.mounted_steps(phase)
-    confirms = context.confirms(phase)
+    confirms = findings.context.confirms(phase)
     state: list[float] = []
     value = 0.0
-    for _, _, step in steps:
+    for _, _, step in findings.context.mounted_steps(phase):
         if isinstance(step, SignalStep) and step.signal.lower() == signal.lower():
             value = step.value
         state.append(value)
     if confirms:
-        first, last = moving(context, phase)
+        first, last = moving(findings.context, phase)
         if state[confirms[0]] and confirms[0] < first:
-            issues.append(Issue("verify.wire_power", f"{signal} is on when the operator mounts the wire"))
+            findings.add(f"{signal} is on when the operator mounts the wire")
         if any(state[i] and first < i < last for i in confirms):
             what = f"{signal} is on while the operator is asked something on the way"
-            issues.append(Issue("verify.wire_power", what, hint="ask before the arms move, or switch it off"))
+            findings.add(what, hint="ask before the arms move, or switch it off")
         if state[confirms[-1]] and confirms[-1] > last:
-            issues.append(Issue("verify.wire_power", f"{signal} is on when the operator takes the wire off"))
+            findings.add(f"{signal} is on when the operator takes the wire off")
     if value:
-        issues.append(Issue("verify.wire_power", f"{signal} is still on when the arms move alone again"))
-    return issues
+        findings.add(f"{signal} is still on when the arms move alone again")
 
 
-def _power_elsewhere(context: Context, signal: str) -> list[Issue]:
+def _power_elsewhere(findings: Findings, signal: str) -> None:
     """Off at every question that is no part of mounting a bent wire, and at the end of the job."""
-    issues = []
-    mounted = {number for phase in context.phases for number in range(phase.first, phase.last + 1)}
+    phases = findings.context.phases
+    mounted = {number for phase in phases for number in range(phase.first, phase.last + 1)}
     value = 0.0
-    for number, task, step in all_steps(context):
+    for number, task, step in all_steps(findings.context):
         if isinstance(step, SignalStep) and step.signal.lower() == signal.lower():
             value = step.value
         if isinstance(step, MessageStep) and step.confirm and value and number not in mounted:
             what = f"{signal} is on while the operator is asked something"
-            issues.append(at_step("verify.wire_power", what, task, step, "switch it off first"))
+            findings.at_step(what, task, step, "switch it off first")
     if value:
-        issues.append(Issue("verify.wire_power", f"{signal} is on when the programs end"))
-    return issues
+        findings.add(f"{signal} is on when the programs end")

@@ -8,6 +8,7 @@ block.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -49,8 +50,9 @@ from planner.processes.milling.proof.tool_motion import (
 )
 from planner.proof.context import Context
 from planner.proof.faces import divided
+from planner.proof.findings import Findings, coordinates, evenly, in_mm, in_percent
 from planner.proof.replay.tool_track import Track
-from planner.proof.rule import FEED_SLACK, Outcome, at_node, at_sample, mm, rule
+from planner.proof.rule import FEED_SLACK, Outcome, mm, rule
 from planner.proof.verdict import CutFace
 from planner.runtime.executor import SERIAL
 from planner.tooling import Mill
@@ -61,56 +63,51 @@ ISSUES_SHOWN = 50
 """Issues of one segment at most."""
 
 
-def flanks(context: Context, milling: Milling) -> tuple[list[Issue], float, str]:
-    """Issues of all passes along ruled surfaces, and the worst of what is allowed, with its segment."""
-    issues: list[Issue] = []
-    worst, where = 0.0, ""
+def _flanks(findings: Findings, milling: Milling) -> None:
+    """All passes along ruled surfaces."""
     for index, claim in milling.flanks:
         for number, segment in enumerate(claim.segments):
             track = milling.track(index, claim.arm, (segment.key,))
             if len(track.rows) < 2:
-                issues.append(Issue(MILL_PATH, f"{segment} is not milled", field=str(segment)))
+                findings.add(f"{segment} is not milled", field=str(segment))
                 continue
             some = rows_to_check(track.tip, track.axis, claim.tolerance)
             found = surface_passes.passed(claim, number, track.tip[some], track.axis[some])
-            if found.off.max() > worst:
-                worst, where = float(found.off.max()), str(segment)
-            issues += [Issue(MILL_PATH, f"{segment}: {fault}", field=str(segment)) for fault in found.faults]
-            bad = np.flatnonzero(found.off > 1.0)
-            for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+            findings.highest(found.off.max(), segment)
+            for fault in found.faults:
+                findings.add(f"{segment}: {fault}", field=str(segment))
+            for i in evenly(found.off > 1.0, ISSUES_SHOWN):
                 what = f"in {segment} the cutter is {found.worst[i]}, {found.off[i]:.2f} times as far as "
                 what += f"allowed, {mm(claim.tolerance):g} mm"
-                row = int(track.rows[some[i]])
-                issues.append(at_sample(MILL_PATH, what, context.motion, claim.arm, row))
+                findings.at_sample(what, claim.arm, track.rows[some[i]])
             for phase, _ in _fast(claim):
-                issues += _way(context, milling, index, claim, number, phase)
-    return issues, worst, where
+                _way(findings, milling, index, claim, number, phase)
 
 
 def _way(
-    context: Context, milling: Milling, index: int, claim: MillsFlank, number: int, phase: Phase
-) -> Iterator[Issue]:
-    """Issues of one way in or out."""
+    findings: Findings, milling: Milling, index: int, claim: MillsFlank, number: int, phase: Phase
+) -> None:
+    """One way in or out."""
     segment = claim.segments[number].at(phase)
     known = _known(milling, index, claim, number, phase)
     if known is None:
-        yield Issue(MILL_PATH, f"{segment} is not there", field=str(segment))
+        findings.add(f"{segment} is not there", field=str(segment))
         return
     track, rows, found = known
-    yield from (Issue(MILL_PATH, f"{segment}: {fault}", field=str(segment)) for fault in found.faults)
-    bad = np.flatnonzero(found.off > 1.0)
-    for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+    for fault in found.faults:
+        findings.add(f"{segment}: {fault}", field=str(segment))
+    for i in evenly(found.off > 1.0, ISSUES_SHOWN):
         what = f"in {segment} the tip is neither on the straight going on of its pass nor on its way up "
         what += f"along the axis: {found.off[i]:.2f} times as far off as allowed"
-        yield at_sample(MILL_PATH, what, context.motion, claim.arm, int(track.rows[rows[i]]))
+        findings.at_sample(what, claim.arm, track.rows[rows[i]])
     if claim.lead is None:
-        own = context.stock(index)
+        own = findings.context.stock(index)
         inside = in_block(track.tip, track.axis, claim.cutter.overhang, claim.cutter.radius, own)[rows]
         for i in np.flatnonzero(inside & found.up & ~found.aside)[:1]:
             what = (
                 f"in {segment} the cutter comes into the block along its axis; it is to come from beside it"
             )
-            yield at_sample(MILL_PATH, what, context.motion, claim.arm, int(track.rows[rows[i]]))
+            findings.at_sample(what, claim.arm, track.rows[rows[i]])
 
 
 def _known(
@@ -122,20 +119,14 @@ def _known(
     track = milling.track(index, claim.arm, (segment.at(phase).key,))
     if len(main.rows) < 2 or len(track.rows) < 2:
         return None
-    back = slice(None, None, -1)
-    order = slice(None) if phase == "in" else back
+    forward, back = slice(None), slice(None, None, -1)
+    order, away = (forward, back) if phase == "in" else (back, forward)
     tip, axis = main.tip[order], main.axis[order]
-    on = (
-        int(np.argmax(np.append(np.linalg.norm(tip[1:] - tip[0], axis=1) > surface_passes.END_LENGTH, True)))
-        + 1
-    )
-    pair = [0, min(on, len(tip) - 1)]
-    rows = np.arange(len(track.rows))[back if phase == "in" else slice(None)]
-    return (
-        track,
-        rows,
-        surface_passes.ways(claim, number, (tip[pair], axis[pair]), track.tip[rows], track.axis[rows]),
-    )
+    far = np.linalg.norm(tip[1:] - tip[0], axis=1) > surface_passes.END_LENGTH
+    pair = [0, min(int(np.argmax(np.append(far, True))) + 1, len(tip) - 1)]
+    rows = np.arange(len(track.rows))[away]
+    way = surface_passes.ways(claim, number, (tip[pair], axis[pair]), track.tip[rows], track.axis[rows])
+    return track, rows, way
 
 
 def feed(milling: Milling, index: int, segment: Segment, count: int) -> FloatArray:
@@ -166,27 +157,22 @@ FACE_STEP = 1e-3
 """Way between places [m] at which a cutter is held against its face."""
 
 
-def over(context: Context, milling: Milling) -> tuple[list[Issue], float, str]:
-    """Issues of all passes over faces, and the worst of what is allowed, with its segment."""
-    issues: list[Issue] = []
-    worst, where = 0.0, ""
+def _over(findings: Findings, milling: Milling) -> None:
+    """All passes over faces."""
     for index, claim in milling.over:
         face = OverFace(claim)
         for segment in claim.segments:
             labels = (segment.key,)
             if not len(milling.track(index, claim.arm, labels).rows):
-                issues.append(Issue(MILL_PATH, f"{segment} is not milled", field=str(segment)))
+                findings.add(f"{segment} is not milled", field=str(segment))
                 continue
             tip, axis, rows = milling.spaced(index, claim.arm, labels, FACE_STEP, claim.tolerance)
             for asked, off in face.off(tip, axis).items():
-                if off.max() > worst:
-                    worst, where = float(off.max()), str(segment)
-                bad = np.flatnonzero(off > 1.0)
-                for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+                findings.highest(off.max(), segment)
+                for i in evenly(off > 1.0, ISSUES_SHOWN):
                     what = f"in {segment} the cutter is {asked}, {off[i]:.2f} times as far as allowed, "
                     what += f"{mm(claim.tolerance):g} mm"
-                    issues.append(at_sample(MILL_PATH, what, context.motion, claim.arm, int(rows[i])))
-    return issues, worst, where
+                    findings.at_sample(what, claim.arm, rows[i])
 
 
 NOTHING_MILLED = "nothing is milled"
@@ -205,26 +191,24 @@ _GOUGE_SPACING = 1.6
 def milled(context: Context) -> Outcome:
     """The swept cutter makes the wanted surface within the tolerance, but for a stated share of it, with the
     cutter that is mounted, and nothing is milled that is not claimed."""
-    milling = context.get(MILLING)
-    issues = _unclaimed(context, milling)
+    milling, findings = context.get(MILLING), Findings("verify.milled", context)
+    _unclaimed(findings, milling)
     faces: list[CutFace] = []
     for index, claim in milling.surfaces:
-        issues += _same_cutter(milling, index, claim)
+        findings.issues += _same_cutter(milling, index, claim)
         face = cut_face(milling, index, claim)
         faces.append(face)
         if face.share < claim.share:
             what = (
                 f"{face.title}: {100 * face.share:.2f} % of the surface are within "
-                f"{mm(claim.tolerance):g} mm; "
-                f"wanted: {100 * claim.share:g} %"
+                f"{mm(claim.tolerance):g} mm; wanted: {100 * claim.share:g} %"
             )
-            measure = {"value": 100 * face.share, "limit": 100 * claim.share, "unit": "%"}
-            issues.append(Issue("verify.milled", what, field=face.title, **measure))  # type: ignore[arg-type]
+            findings.add(what, in_percent(face.share, claim.share), field=face.title)
     if not faces:
-        return Outcome(tuple(issues), nothing=NOTHING_MILLED)
+        return findings.outcome_without_value(NOTHING_MILLED)
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
-    share, wanted = 100 * worst.share, 100 * worst.wanted_share
-    return Outcome(tuple(issues), share, wanted, "% within tolerance", worst.title, faces=tuple(faces))
+    share, wanted, issues = 100 * worst.share, 100 * worst.wanted_share, tuple(findings.issues)
+    return Outcome(issues, share, wanted, "% within tolerance", worst.title, faces=tuple(faces))
 
 
 def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
@@ -267,32 +251,25 @@ def _step(solid: Solid, tolerance: float) -> float:
 def mill_gouge(context: Context) -> Outcome:
     """At every instant, also on its ways in and out, neither cutter nor shank, holder and spindle are in a
     face of the part by more than the tolerance; a cutter that engraves is as deep as wanted."""
-    milling = context.get(MILLING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, None, ""
+    milling, findings = context.get(MILLING), Findings("verify.mill_gouge", context)
     asked = [(index, claim, list(_held(milling, index, claim))) for index, claim in milling.spared]
     found = _insides(milling, [one for _, _, group in asked for one, _ in group])
     for index, claim, group in asked:
-        issues += _same_cutter(milling, index, claim)
+        findings.issues += _same_cutter(milling, index, claim)
         for one, rows in group:
             solid, allowed, there = one.solid, one.allowed, next(found)
             if isinstance(there, int):
-                issues.append(_too_many(claim, solid, there, one.size))
-                worst, limit, where = max(worst, 0.0), mm(allowed), str(claim.segments[0])
+                findings.issues.append(_too_many(claim, solid, there, one.size))
+                findings.excess, findings.limit = max(findings.excess, 0.0), allowed
+                findings.where = str(claim.segments[0])
                 continue
-            if -there.least - allowed > worst:
-                worst, limit = -there.least - allowed, mm(allowed)
-                where = f"{solid.name} in {context.motion.node_segment[context.motion.node[rows[there.at]]]}"
+            at = context.motion.node_segment[context.motion.node[rows[there.at]]]
+            findings.beyond(-there.least, allowed, f"{solid.name} in {at}")
             for i in range(0, len(there.off), max(1, len(there.off) // ISSUES_SHOWN)):
-                at = ", ".join(f"{mm(v):.1f}" for v in there.points[i])
-                what = f"the {solid.name} is {mm(-there.off[i]):.3f} mm in the part at {at} mm; allowed: "
-                what += f"{mm(allowed):.3f} mm"
-                measure = (mm(float(-there.off[i])), mm(allowed), "mm")
-                row = int(rows[there.place[i]])
-                issues.append(at_sample("verify.mill_gouge", what, context.motion, claim.arm, row, measure))
-    if limit is None:
-        return Outcome(tuple(issues), nothing=NOTHING_MILLED)
-    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+                what = f"the {solid.name} is {mm(-there.off[i]):.3f} mm in the part at "
+                what += f"{coordinates(there.points[i])} mm; allowed: {mm(allowed):.3f} mm"
+                findings.at_sample(what, claim.arm, rows[there.place[i]], in_mm(-there.off[i], allowed))
+    return findings.outcome_beyond(NOTHING_MILLED)
 
 
 def _held(milling: Milling, index: int, claim: SparesPart) -> Iterator[tuple[Held, IntArray]]:
@@ -327,8 +304,8 @@ def _too_many(claim: SparesPart, solid: Solid, count: int, size: float) -> Issue
     """Nothing is proven of a face that is too large to be looked at as closely as it has to be."""
     what = (
         f"beside the {solid.name} the face would have to be looked at in {count} places, {mm(size):.2f} mm "
+        f"apart; allowed: {MOST_FACE_POINTS}: split the cut, or take a larger tolerance"
     )
-    what += f"apart; allowed: {MOST_FACE_POINTS}: split the cut, or take a larger tolerance"
     name = str(claim.segments[0])
     return Issue("verify.mill_gouge", what, field=name, value=float(count), limit=float(MOST_FACE_POINTS))
 
@@ -337,44 +314,34 @@ def _too_many(claim: SparesPart, solid: Solid, count: int, size: float) -> Issue
 def mill_path(context: Context) -> Outcome:
     """Tip and axis stay within the tolerances on the way that the G-code file, the curves, the ruled surface
     or the face asks for, all of which is passed, ways in and out too, and mill nothing beside it."""
-    milling = context.get(MILLING)
-    issues: list[Issue] = list(context.unread)
-    own, worst, where = flanks(context, milling)
-    issues += own
-    own, share, name = over(context, milling)
-    issues += own
-    worst, where = (share, name) if share > worst else (worst, where)
-    limit = 1.0 if where else None
+    milling, findings = context.get(MILLING), Findings(MILL_PATH, context, worst=0.0)
+    findings.issues += context.unread
+    _flanks(findings, milling)
+    _over(findings, milling)
     for index, claim in milling.curves:
         track = milling.track(index, claim.arm, (claim.segment.key,))
         known = milling.followed(index, claim)
         if known is None and _small(claim):
             continue
         if known is None:
-            issues.append(
-                Issue("verify.mill_path", f"{claim.segment} is not milled", field=str(claim.segment))
-            )
+            findings.add(f"{claim.segment} is not milled", field=str(claim.segment))
             continue
         some, found = known
         off, turn = found.off, found.turn
         allowed_off = claim.tolerance + WRITTEN_ROUNDING
-        share = max(float(off.max()) / allowed_off, float(turn.max()) / claim.turn)
-        if share > worst:
-            worst, limit, where = share, 1.0, str(claim.segment)
-        bad = np.flatnonzero((off > allowed_off) | (turn > claim.turn))
-        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+        findings.highest(max(off.max() / allowed_off, turn.max() / claim.turn), claim.segment)
+        for i in evenly((off > allowed_off) | (turn > claim.turn), ISSUES_SHOWN):
             what = (
                 f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve{_line(claim, found, i)} "
                 f"and the axis {np.rad2deg(turn[i]):.2f} deg; allowed: {mm(claim.tolerance):g} mm, "
                 f"{np.rad2deg(claim.turn):.2f} deg"
             )
-            measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
-            row = int(track.rows[some[i]])
-            issues.append(at_sample("verify.mill_path", what, context.motion, claim.arm, row, measure))
+            findings.at_sample(what, claim.arm, track.rows[some[i]], in_mm(off[i], claim.tolerance))
         if found.missed:
             word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"
-            issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=str(claim.segment)))
-    return Outcome(tuple(issues), worst, limit, "of what is allowed", where, "" if where else NOTHING_MILLED)
+            findings.add(f"{claim.segment}: {word}", field=str(claim.segment))
+    out = findings.outcome(float, "of what is allowed", 1.0 if findings.where else None)
+    return dataclasses.replace(out, nothing="" if findings.where else NOTHING_MILLED)
 
 
 def _small(claim: MillsAlong) -> bool:
@@ -391,20 +358,17 @@ def _line(claim: MillsAlong, found: Followed, i: int) -> str:
     return f" by line {claim.line[place]} of {claim.file}"
 
 
-def _unclaimed(context: Context, milling: Milling) -> list[Issue]:
+def _unclaimed(findings: Findings, milling: Milling) -> None:
     """Moves of segments that mill, of which nothing is claimed, and claimed ones that never come."""
-    motion = context.motion
-    arm = context.job.tasks[0].arm.name
-    out: list[Issue] = []
+    motion, arm = findings.context.motion, findings.context.job.tasks[0].arm.name
     seen: set[str] = set()
     for node, (segment, name) in enumerate(zip(motion.node_segment, motion.node_label, strict=True)):
         if segment.kind == MILL and name not in milling.labels and name not in seen:
             what = f"the programs mill in {segment}, of which the problem claims nothing"
-            out.append(at_node("verify.milled", what, motion, arm, node))
+            findings.at_node(what, arm, node)
         seen.add(name)
-    lacks = {segment.key for _, c in milling.surfaces for segment in c.segments} - seen
-    out += [Issue("verify.milled", f"{name} is never milled", field=name) for name in sorted(lacks)]
-    return out
+    for name in sorted({segment.key for _, c in milling.surfaces for segment in c.segments} - seen):
+        findings.add(f"{name} is never milled", field=name)
 
 
 def _same_cutter(milling: Milling, index: int, claim: MillsSurface | SparesPart) -> list[Issue]:
@@ -428,10 +392,7 @@ def _same_cutter(milling: Milling, index: int, claim: MillsSurface | SparesPart)
 def mill_feed(context: Context) -> Outcome:
     """While it mills, and on its ways in and out, the tip moves no faster than it may at each place of its
     way."""
-    milling = context.get(MILLING)
-    motion = context.motion
-    issues: list[Issue] = []
-    worst, where = 0.0, ""
+    milling, findings = context.get(MILLING), Findings("verify.mill_feed", context, worst=0.0)
     claims = [c for c in context.feeds if c.segment.kind == MILL]
     for claim in claims:
         index = context.setup_of(claim)
@@ -446,25 +407,16 @@ def mill_feed(context: Context) -> Outcome:
         there = np.minimum(there, feed(milling, index, claim.segment, len(speed) + 1))
         limit = np.minimum(there, claim.upper)
         share = speed / limit
-        if share.max() > worst:
-            worst, where = float(share.max()), str(claim.segment)
-        bad = np.flatnonzero(share > FEED_SLACK)
-        for k in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
-            what = f"the tip moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; "
-            what += f"allowed there: {mm(limit[k]):g}"
-            measure = (mm(float(speed[k])), mm(float(limit[k])), "mm/s")
-            issues.append(at_sample("verify.mill_feed", what, motion, arm, int(track.rows[k + 1]), measure))
+        findings.highest(share.max(), claim.segment, FEED_SLACK)
+        for k in evenly(share > FEED_SLACK, ISSUES_SHOWN):
+            got, most = mm(float(speed[k])), mm(float(limit[k]))
+            what = f"the tip moves at {got:.2f} mm/s in {claim.segment}; allowed there: {most:g}"
+            findings.at_sample(what, arm, track.rows[k + 1], (got, most, "mm/s"))
     fed = {claim.segment.key for claim in claims}
-    lacks = sorted(label for label in _labels(context) if label not in fed)
-    issues += [Issue("verify.mill_feed", f"{label} has no feed", field=label) for label in lacks]
-    return Outcome(
-        tuple(issues),
-        worst or None,
-        FEED_SLACK if worst else None,
-        "of the feed",
-        where,
-        "" if where else NOTHING_MILLED,
-    )
+    for label in sorted(_labels(context) - fed):
+        findings.add(f"{label} has no feed", field=label)
+    out = findings.outcome(float, "of the feed")
+    return out if findings.measured else dataclasses.replace(out, worst=None, nothing=NOTHING_MILLED)
 
 
 def _there(milling: Milling, index: int, segment: Segment, count: int) -> FloatArray:
@@ -484,9 +436,8 @@ def _there(milling: Milling, index: int, segment: Segment, count: int) -> FloatA
 def spindle(context: Context) -> Outcome:
     """The cutter is in the block only while its spindle has been on for long enough, and on segments that
     mill."""
-    milling = context.get(MILLING)
+    milling, findings = context.get(MILLING), Findings("verify.spindle", context)
     motion = context.motion
-    issues: list[Issue] = []
     seen = False
     for index, setup in enumerate(context.setups):
         claims = [c for c in context.setup_claims[index].contacts if MILL in c.kinds]
@@ -505,10 +456,10 @@ def spindle(context: Context) -> Outcome:
             seen = True
             for i in np.flatnonzero(motion.node_kind[motion.node[rows]] != MILL)[:1]:
                 what = f"the cutter is in the block in {motion.node_label[node[i]]}, where nothing is milled"
-                issues.append(at_sample("verify.spindle", what, motion, arm.name, int(rows[i])))
+                findings.at_sample(what, arm.name, rows[i])
             if not claims:
                 what = f"{arm.name} mills in setup {index + 1}, which claims no spindle"
-                issues.append(at_sample("verify.spindle", what, motion, arm.name, int(rows[0])))
+                findings.at_sample(what, arm.name, rows[0])
             for claim in claims:
                 on = motion.on_for(claim.signal, context.switching((arm.name,)), time)
                 for i in np.flatnonzero(on < claim.heat_up - 1e-6)[:1]:
@@ -516,8 +467,8 @@ def spindle(context: Context) -> Outcome:
                     what = f"the cutter is in the block and {claim.signal} is {got} on; wanted: "
                     what += f"{claim.heat_up:g} s"
                     measure = (float(max(on[i], 0.0)), claim.heat_up, "s")
-                    issues.append(at_sample("verify.spindle", what, motion, arm.name, int(rows[i]), measure))
-    return Outcome(tuple(issues), nothing="" if seen else NOTHING_MILLED)
+                    findings.at_sample(what, arm.name, rows[i], measure)
+    return findings.outcome_without_value("" if seen else NOTHING_MILLED)
 
 
 def _arm(milling: Milling, index: int, claim: FeedWindow) -> str:

@@ -9,22 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from planner.claims.segments import Segment
-from planner.issues import Issue
 from planner.processes.trim.claims import TrimBlade, TrimsSheet
 from planner.processes.trim.proof.blade_motion import blade_way
 from planner.processes.trim.proof.outlines import TRIM
-from planner.processes.trim.proof.rules.mill import (
-    Found,
-    depth,
-    goes_down,
-    leans,
-    leaves,
-    straight_down,
-    told,
-)
+from planner.processes.trim.proof.rules.mill import Slot, depth, goes_down, leans, leaves, straight_down
 from planner.processes.trim.proof.rules.slots import ANGLE_ERROR, ISSUES_SHOWN, NOTHING_TRIMMED, every
-from planner.processes.trim.proof.torch_motion import PLACE_ERROR, TRIMMING, TrimWork
+from planner.processes.trim.proof.torch_motion import PLACE_ERROR, TRIMMING
 from planner.proof.context import Context
+from planner.proof.findings import Findings, percent
 from planner.proof.rule import Outcome, mm, rule
 
 KNIFE = "verify.trim_knife"
@@ -38,71 +30,61 @@ def trim_knife(context: Context) -> Outcome:
     """Wherever a knife is in the sheet it stands along its curve within what it may, its edge ahead; where it
     goes on its tip is through the sheet as far as wanted, and it leans no farther than its cone. It goes in
     along its axis no faster than it may, not turned, and comes out so: at sharp corners it is lifted."""
-    trimming = context.get(TRIMMING)
-    issues: list[Issue] = []
-    worst, where = -np.inf, ""
-    for work, _, key, way in every(trimming):
+    findings = Findings(KNIFE, context)
+    for work, _, key, way in every(context.get(TRIMMING)):
         own = work.claim.knife
         if own is None:
             continue
         gone = np.linalg.norm(way.feet.foot - way.feet.foot[:1], axis=1) > work.claim.tolerance
-        issues += straight_down(context, work, KNIFE, key, way)
-        for value, some in (
-            depth(context, work, KNIFE, key, way, gone),
-            leans(context, work, KNIFE, key, way),
-            goes_down(context, work, KNIFE, key, way),
-            leaves(context, work, KNIFE, key),
-            _stands(context, work, own, key),
-            _turns(context, work, own, key),
-        ):
-            issues += some
-            if value > worst:
-                worst, where = value, key
-        issues += _backwards(context, work, own, key)
-    if not where:
-        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
-    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
+        slot = Slot(findings, work, key, way)
+        straight_down(slot)
+        depth(slot, gone)
+        leans(slot)
+        goes_down(slot)
+        leaves(slot)
+        _stands(slot, own)
+        _turns(slot, own)
+        _backwards(slot, own)
+    return findings.outcome(percent, "% of what is allowed", 1.0, nothing=NOTHING_TRIMMED)
 
 
-def _stands(context: Context, work: TrimWork, own: TrimBlade, key: str) -> Found:
+def _stands(slot: Slot, own: TrimBlade) -> None:
     """Along its curve, wherever its tip is behind the face."""
-    blade, out = blade_way(work, own, key), list[Issue]()
+    blade = blade_way(slot.work, own, slot.key)
     turned = np.where(blade.deep > PLACE_ERROR, blade.off_heading(), 0.0)
-    share = turned / (own.heading + ANGLE_ERROR + work.sheet.turn)
+    share = turned / (own.heading + ANGLE_ERROR + slot.work.sheet.turn)
     bad = np.flatnonzero(share > 1.0)
     for k in bad[np.argsort(-share[bad], kind="stable")][:ISSUES_SHOWN]:
         what = f"the blade stands {np.rad2deg(turned[k]):.1f} deg off its curve while it is in the sheet; "
         what += f"allowed: {np.rad2deg(own.heading):g} deg, and no turn there at a sharp corner"
-        out.append(told(context, work, KNIFE, key, what, int(blade.rows[k])))
-    return float(share.max()), out
+        slot.add(what, blade.rows[k])
+    slot.share(share.max())
 
 
-def _backwards(context: Context, work: TrimWork, own: TrimBlade, key: str) -> list[Issue]:
+def _backwards(slot: Slot, own: TrimBlade) -> None:
     """Whether it goes on with its edge ahead."""
-    blade = blade_way(work, own, key)
+    blade = blade_way(slot.work, own, slot.key)
     step = np.diff(blade.feet.foot, axis=0)
     on = (step * blade.ahead[1:]).sum(axis=1)
     there = (blade.deep[1:] > PLACE_ERROR) & (np.linalg.norm(step, axis=1) > STILL)
-    out = []
     for k in np.flatnonzero(there & (on <= 0.0))[:1]:
         what = "the knife goes backwards in the sheet, its edge behind; wanted: its edge ahead"
-        out.append(told(context, work, KNIFE, key, what, int(blade.rows[k + 1])))
-    return out
+        slot.add(what, blade.rows[k + 1])
 
 
-def _turns(context: Context, work: TrimWork, own: TrimBlade, key: str) -> Found:
+def _turns(slot: Slot, own: TrimBlade) -> None:
     """On its way out it is not turned until it is over the sheet."""
-    track = work.of_slot(Segment(TRIM, key.split("/", 1)[1]).at("out").key)
+    work = slot.work
+    track = work.of_slot(Segment(TRIM, slot.key.split("/", 1)[1]).at("out").key)
     if not len(track.rows):
-        return 0.0, []
+        return
     deep = work.feet(track.tip, track.axis)[1]
     turned = np.arccos(np.clip(track.ahead @ track.ahead[0], -1.0, 1.0))
     share = np.where(deep > 0.0, turned, 0.0) / (own.heading + ANGLE_ERROR)
-    out = []
     for k in np.flatnonzero(share > 1.0)[:1]:
         what = (
             f"the knife turns by {np.rad2deg(turned[k]):.1f} deg while it is {mm(float(deep[k])):.2f} mm in "
+            "the sheet on its way out; it is lifted first"
         )
-        what += "the sheet on its way out; it is lifted first"
-        out.append(told(context, work, KNIFE, key, what, int(track.rows[k])))
-    return float(share.max()), out
+        slot.add(what, track.rows[k])
+    slot.share(share.max())

@@ -41,10 +41,13 @@ from planner.processes.trim.proof.torch_motion import (
     off_sheet,
 )
 from planner.proof.context import Context
+from planner.proof.findings import Findings, coordinates, evenly, in_mm, percent
 from planner.proof.part_files import UnreadError
-from planner.proof.rule import FEED_SLACK, Outcome, at_sample, mm, rule
+from planner.proof.rule import FEED_SLACK, Outcome, issue, mm, rule
 from planner.tooling import Knife, Mill, Torch
 
+TRIM_CUT = "verify.trim_cut"
+"""Code of the rule about outlines."""
 NOTHING_TRIMMED = "nothing is trimmed"
 """Why rules about trimming have not run."""
 ANGLE_ERROR = np.deg2rad(0.5)
@@ -72,29 +75,25 @@ def trim_cut(context: Context) -> Outcome:
     """Each outline, as the proof reads it and the part once more, is cut all the way round with the slot's
     edge within the tolerance of it, but for as many micro-joints as wanted, as wide as wanted; nothing else
     is trimmed."""
-    trimming = context.get(TRIMMING)
-    issues = [*trimming.issues, *(i for i in context.unread if i.code == "verify.trim_cut")]
-    issues += _unclaimed(context, trimming)
-    worst, limit, where = -np.inf, None, ""
+    trimming, findings = context.get(TRIMMING), Findings(TRIM_CUT, context)
+    findings.issues += trimming.issues
+    findings.issues += (one for one in context.unread if one.code == TRIM_CUT)
+    _unclaimed(findings, trimming)
     for work in trimming.works:
         for curve in work.curves:
-            ways = [way for way in work.ways(curve).values() if way is not None]
+            name, ways = curve.one.name, [way for way in work.ways(curve).values() if way is not None]
             if len(ways) < len(work.ways(curve)) or not ways:
-                what = (
-                    f"{curve.one.name} is not cut" if not ways else f"a slot of {curve.one.name} is not cut"
-                )
-                issues.append(Issue("verify.trim_cut", what, field=curve.one.name))
+                findings.add(f"a slot of {name} is not cut" if ways else f"{name} is not cut", field=name)
                 continue
             if work.claim.knife is not None:
                 left, found = _sliced(work, curve, work.claim.knife)
             else:
                 left, found = _closed(work, curve, ways)
-            issues += found
-            if left > worst:
-                worst, limit, where = left, mm(work.claim.tolerance + work.sheet.tolerance), curve.one.name
-    if limit is None:
-        return Outcome(tuple(issues), nothing="" if issues else NOTHING_TRIMMED)
-    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+            findings.issues += found
+            findings.highest(left, name, work.claim.tolerance + work.sheet.tolerance)
+    if not findings.measured:
+        return findings.outcome_without_value("" if findings.issues else NOTHING_TRIMMED)
+    return findings.outcome(mm, "mm")
 
 
 def _sliced(work: TrimWork, curve: Curve, own: TrimBlade) -> tuple[float, list[Issue]]:
@@ -107,7 +106,7 @@ def _sliced(work: TrimWork, curve: Curve, own: TrimBlade) -> tuple[float, list[I
         ways = [way for cut in cuts for way in cut.ways]
         if not ways:
             what = f"the knife is nowhere through the sheet along {curve.one.name}"
-            return worst, [Issue("verify.trim_cut", what, field=curve.one.name)]
+            return worst, [Issue(TRIM_CUT, what, field=curve.one.name)]
         left, found = _closed(work, curve, ways, slant if far else 0.0)
         worst, issues = max(worst, left), found
         if found:
@@ -128,10 +127,9 @@ def _closed(work: TrimWork, curve: Curve, ways: list[Way], wider: float = 0.0) -
     apart = np.asarray(cKDTree(_filled(ways, half, near)).query(curve.ring)[0]) - half
     if not on.any():
         what = f"the slot is nowhere within {mm(claim.tolerance):g} mm of {one.name}, on the side that "
-        what += "drops; the "
-        what += f"nearest place of it is {mm(float(np.abs(off - half).min())):.2f} mm off"
+        what += f"drops; the nearest place of it is {mm(float(np.abs(off - half).min())):.2f} mm off"
         left = float(np.abs(apart[apart <= near]).max(initial=0.0))
-        return left, [Issue("verify.trim_cut", what, field=one.name)]
+        return left, [Issue(TRIM_CUT, what, field=one.name)]
     issues = []
     gaps = []
     held = np.zeros(len(curve.ring), dtype=bool)
@@ -150,20 +148,17 @@ def _closed(work: TrimWork, curve: Curve, ways: list[Way], wider: float = 0.0) -
         if count:
             x, y, _ = curve.place(gaps[0][0] if gaps else float(curve.along[bare[0][0]])) / 1e-3
             what += f"; the first is at ({x:.1f}, {y:.1f}) mm"
-        measure = {"value": float(count), "limit": float(one.joints)}
-        issues.append(Issue("verify.trim_cut", what, field=one.name, **measure))  # type: ignore[arg-type]
+        issues.append(issue(TRIM_CUT, what, (float(count), float(one.joints), None), field=one.name))
     for first, last, width in gaps if one.joints else ():
         x, y, _ = curve.place(first) / 1e-3
         said = f"the micro-joint of {one.name} at ({x:.1f}, {y:.1f}) mm"
         if not one.width - near <= width <= one.width + near + wider or width < LEAST_JOINT * one.width:
             what = f"{said} is {mm(width):.2f} mm wide; wanted: {mm(one.width):g} mm within "
             what += f"{mm(claim.tolerance):g}"
-            issues.append(
-                Issue("verify.trim_cut", what, field=one.name, value=mm(width), limit=mm(one.width))
-            )
+            issues.append(issue(TRIM_CUT, what, (mm(width), mm(one.width), None), field=one.name))
         if any(_passes(curve, way, first, last) for way in ways):
             what = f"{said} is cut off behind, in what drops, so that it holds nothing"
-            issues.append(Issue("verify.trim_cut", what, field=one.name))
+            issues.append(Issue(TRIM_CUT, what, field=one.name))
     return left, issues
 
 
@@ -225,7 +220,7 @@ def _runs(flags: BoolArray) -> list[tuple[int, int]]:
     return [(int(group[0]), int(group[-1])) for group in groups]
 
 
-def _unclaimed(context: Context, trimming: Trimming) -> Iterator[Issue]:
+def _unclaimed(findings: Findings, trimming: Trimming) -> None:
     """Segments that trim, of which nothing is claimed."""
     known = {
         Segment(TRIM, name).key
@@ -233,11 +228,10 @@ def _unclaimed(context: Context, trimming: Trimming) -> Iterator[Issue]:
         for curve in work.curves
         for name in slot_names(work.claim, curve.one)
     }
-    motion = context.motion
-    for segment in dict.fromkeys(motion.node_segment):
+    for segment in dict.fromkeys(findings.context.motion.node_segment):
         if segment.kind == TRIM and segment.at("").key not in known:
             what = f"the programs trim in {segment}, of which the problem claims nothing"
-            yield Issue("verify.trim_cut", what, field=str(segment))
+            findings.add(what, field=str(segment))
 
 
 @rule("verify.trim_kept", TrimsSheet)
@@ -245,68 +239,48 @@ def trim_kept(context: Context) -> Outcome:
     """What must stay stays: the slot of a tool, with its pierce point and its ways in and out, lies in what
     its outline lets drop, and reaches no farther over the outline than the tolerance, of a knife also past
     sharp corners by what is stated."""
-    trimming = context.get(TRIMMING)
-    issues: list[Issue] = []
-    worst, limit, where = -np.inf, None, ""
-    for work, curve, key, way in every(trimming):
+    findings = Findings("verify.trim_kept", context)
+    for work, curve, key, way in every(context.get(TRIMMING)):
         near = work.near
         if work.claim.knife is not None:
-            over, some = _sliced_off(context, work, curve, work.claim.knife, key)
-            issues += some
-            if over > worst:
-                worst, limit, where = over, mm(near), key
+            _sliced_off(findings, work, curve, work.claim.knife, key)
             continue
         deep = 0.5 * work.claim.kerf - way.off
-        if float(deep.max()) > worst:
-            worst, limit, where = float(deep.max()), mm(near), key
-        bad = np.flatnonzero(deep > near)
-        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
-            x, y, z = way.feet.foot[i] / 1e-3
+        findings.highest(deep.max(), key, near)
+        for i in evenly(deep > near, ISSUES_SHOWN):
             what = f"in {key} the slot is {mm(float(deep[i])):.2f} mm in the part, over {curve.one.name}, at "
-            what += f"({x:.1f}, {y:.1f}, {z:.1f}) mm; allowed: {mm(near):.2f} mm"
-            measure = (mm(float(deep[i])), mm(near), "mm")
-            row = int(way.rows[i])
-            issues.append(at_sample("verify.trim_kept", what, context.motion, work.claim.arm, row, measure))
-    if limit is None:
-        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
-    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+            what += f"({coordinates(way.feet.foot[i])}) mm; allowed: {mm(near):.2f} mm"
+            findings.at_sample(what, work.claim.arm, way.rows[i], in_mm(deep[i], near))
+    return findings.outcome(mm, "mm", nothing=NOTHING_TRIMMED)
 
 
-def _sliced_off(
-    context: Context, work: TrimWork, curve: Curve, own: TrimBlade, key: str
-) -> tuple[float, list[Issue]]:
+def _sliced_off(findings: Findings, work: TrimWork, curve: Curve, own: TrimBlade, key: str) -> None:
     """How far [m] a blade is in the part beside its curve, and where by more than the tolerance; past sharp
     corners it may by what is stated of them."""
     near, blade = work.near, blade_way(work, own, key)
     ends = sharp(work, curve, own.turns - CORNER_ERROR - work.sheet.turn)
-    worst, out = 0.0, list[Issue]()
     for cut, face in ((blade.near, "near"), (blade.far, "far")):
         deep = np.maximum(-cut.off, 0.0)
         past = ends.past(cut.foot, near)
         deep[past <= own.overcut + near] = 0.0
-        worst = max(worst, float(deep.max(initial=0.0)))
-        bad = np.flatnonzero(deep > near)
-        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
-            x, y, z = cut.foot[i] / 1e-3
-            what = f"in {key} the blade is {mm(float(deep[i])):.2f} mm in the part, over {curve.one.name}, "
-            what += f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm of the {face} face; allowed: {mm(near):.2f} mm"
+        findings.highest(deep.max(initial=0.0), key, near)
+        for i in evenly(deep > near, ISSUES_SHOWN):
+            what = (
+                f"in {key} the blade is {mm(float(deep[i])):.2f} mm in the part, over {curve.one.name}, "
+                f"at ({coordinates(cut.foot[i])}) mm of the {face} face; allowed: {mm(near):.2f} mm"
+            )
             if np.isfinite(past[i]):
                 what += f", and straight on past a corner {mm(own.overcut):g} mm; it is "
                 what += f"{mm(float(past[i])):.2f} mm past one"
-            measure = (mm(float(deep[i])), mm(near), "mm")
-            row = int(cut.rows[i])
-            out.append(at_sample("verify.trim_kept", what, context.motion, work.claim.arm, row, measure))
-    return worst, out
+            findings.at_sample(what, work.claim.arm, cut.rows[i], in_mm(deep[i], near))
 
 
 @rule("verify.trim_torch", TrimsSheet)
 def trim_torch(context: Context) -> Outcome:
     """While it cuts the nozzle is off the sheet by its stand-off within the tolerance, no higher than its
     pierce height where it leads in, and the torch leans off the sheet's normal no farther than its cone."""
-    trimming = context.get(TRIMMING)
-    issues: list[Issue] = []
-    worst, where = 0.0, ""
-    for work, _, key, way in every(trimming):
+    findings = Findings("verify.trim_torch", context, worst=0.0)
+    for work, _, key, way in every(context.get(TRIMMING)):
         claim, torch = work.claim, work.claim.torch
         if torch is None:
             continue
@@ -321,10 +295,8 @@ def trim_torch(context: Context) -> Outcome:
         turned = lean / (claim.cone + ANGLE_ERROR + work.sheet.turn)
         pierced = abs(float(way.feet.height[0]) - (claim.pierce_height - torch.standoff)) / near
         for rate, kind in ((share, "height"), (turned, "lean"), (np.array([pierced]), "pierce")):
-            if float(rate.max()) > worst:
-                worst, where = float(rate.max()), f"{kind} in {key}"
-            bad = np.flatnonzero(rate > 1.0)
-            for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
+            findings.highest(rate.max(), f"{kind} in {key}")
+            for i in evenly(rate > 1.0, ISSUES_SHOWN):
                 nozzle = mm(float(way.feet.height[i]) + torch.standoff)
                 said = {
                     "height": f"the nozzle is {nozzle:.2f} mm off the sheet; wanted: "
@@ -334,13 +306,8 @@ def trim_torch(context: Context) -> Outcome:
                     "pierce": f"the sheet is pierced from {nozzle:.2f} mm; wanted: "
                     f"{mm(claim.pierce_height):g} mm within {mm(claim.height):g}",
                 }[kind]
-                row = int(way.rows[i])
-                issues.append(
-                    at_sample("verify.trim_torch", f"in {key} {said}", context.motion, claim.arm, row)
-                )
-    if not where:
-        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
-    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of what is allowed", where)
+                findings.at_sample(f"in {key} {said}", claim.arm, way.rows[i])
+    return findings.outcome(percent, "% of what is allowed", 1.0, nothing=NOTHING_TRIMMED)
 
 
 @rule("verify.trim_arc", TrimsSheet)
@@ -348,14 +315,13 @@ def trim_arc(context: Context) -> Outcome:
     """The arc starts with the torch at rest in the waste, far enough off all curves, and the program then
     waits for it, no longer than it may; it burns all along its slot and nowhere else. A program of UR watches
     all along that it does, and ends where it does not, or the torch stands."""
-    trimming = context.get(TRIMMING)
-    issues: list[Issue] = []
+    trimming, findings = context.get(TRIMMING), Findings("verify.trim_arc", context)
     count = 0
     torches = [work for work in trimming.works if work.claim.torch is not None]
     for work in torches:
-        claim, motion = work.claim, context.motion
+        claim = work.claim
         others = {key for other in torches if other is not work for key in other.slots} - set(work.slots)
-        issues += [*waits(context, work, others), *unguarded(context, work, others)]
+        findings.issues += [*waits(context, work, others), *unguarded(context, work, others)]
         track, burning = work.track, work.burning
         for begin, end in zip(burning.begin, burning.end, strict=True):
             moved, start = _under_way(work, begin, end)
@@ -367,8 +333,8 @@ def trim_arc(context: Context) -> Outcome:
             stray = np.flatnonzero(moved & ~np.isin(track.label, list(work.slots)))
             for i in stray[:1]:
                 what = f"{claim.signal} is on in {track.label[i]}, where nothing is cut"
-                issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(track.rows[i])))
-            issues += _pierced(context, work, track.tip[start], int(track.rows[start]), begin)
+                findings.at_sample(what, claim.arm, track.rows[i])
+            _pierced(findings, work, track.tip[start], int(track.rows[start]), begin)
         for key in work.slots:
             own = work.of_slot(key)
             if len(own.time) < 2:
@@ -376,11 +342,10 @@ def trim_arc(context: Context) -> Outcome:
             count += 1
             # a torch may stand at the slot's ends, for the arc and for the other arm, longer than it burns
             ends = [np.linalg.norm(own.tip - own.tip[k], axis=1) > STANDING for k in (0, -1)]
-            dark = np.flatnonzero(~burning.at(own.time) & ends[0] & ends[1])
-            for i in dark[:1]:
+            for i in np.flatnonzero(~burning.at(own.time) & ends[0] & ends[1])[:1]:
                 what = f"{claim.signal} is off in {key}: nothing is cut there"
-                issues.append(at_sample("verify.trim_arc", what, motion, claim.arm, int(own.rows[i])))
-    return Outcome(tuple(issues), where=f"{count} slots", nothing="" if torches else NOTHING_TRIMMED)
+                findings.at_sample(what, claim.arm, own.rows[i])
+    return findings.outcome_without_value("" if torches else NOTHING_TRIMMED, f"{count} slots")
 
 
 def _under_way(work: TrimWork, begin: float, end: float) -> tuple[BoolArray, int]:
@@ -392,9 +357,9 @@ def _under_way(work: TrimWork, begin: float, end: float) -> tuple[BoolArray, int
     return inside & (np.linalg.norm(track.tip - track.tip[start], axis=1) > STANDING), start
 
 
-def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin: float) -> Iterator[Issue]:
+def _pierced(findings: Findings, work: TrimWork, tip: FloatArray, row: int, begin: float) -> None:
     """Where the arc starts: in the waste of some outline, off all curves; and for how long it stands."""
-    claim, motion = work.claim, context.motion
+    claim = work.claim
     foot = work.sheet.feet(tip[None]).foot
     off = np.array([float(curve.off(foot)[0][0]) for curve in work.curves])
     waste = any(bool(curve.in_waste(foot)[0]) for curve in work.curves)
@@ -403,7 +368,7 @@ def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin:
         what = f"the arc starts {'in the part, ' if not waste else ''}{mm(float(off.min())):.2f} mm off "
         what += f"{work.curves[int(off.argmin())].one.name}; wanted: in the waste, "
         what += f"{mm(claim.pierce_off):g} mm off"
-        yield at_sample("verify.trim_arc", what, motion, claim.arm, row)
+        findings.at_sample(what, claim.arm, row)
     moving = np.flatnonzero(
         (work.track.time > begin) & (np.linalg.norm(work.track.tip - tip, axis=1) > STANDING)
     )
@@ -412,16 +377,14 @@ def _pierced(context: Context, work: TrimWork, tip: FloatArray, row: int, begin:
         what = (
             f"the torch moves {stood:.3f} s after {claim.signal} goes on; wanted: {claim.pierce_seconds:g} s"
         )
-        yield at_sample("verify.trim_arc", what, motion, claim.arm, row)
+        findings.at_sample(what, claim.arm, row)
 
 
 @rule("verify.trim_order", TrimsSheet)
 def trim_order(context: Context) -> Outcome:
     """An outline that lies in another one is wholly cut before that is begun, which would let it move."""
-    trimming = context.get(TRIMMING)
-    issues: list[Issue] = []
-    pairs = 0
-    for work in trimming.works:
+    findings, pairs = Findings("verify.trim_order", context), 0
+    for work in context.get(TRIMMING).works:
         spans: list[tuple[float, float]] = []
         for curve in work.curves:
             tracks = [work.of_slot(key) for key in work.ways(curve)]
@@ -433,9 +396,9 @@ def trim_order(context: Context) -> Outcome:
             pairs += 1
             if spans[a][1] > spans[b][0]:
                 what = f"{outer.one.name} is begun before {inner.one.name}, which lies in it, is cut"
-                issues.append(Issue("verify.trim_order", what, field=outer.one.name, arm=work.claim.arm))
-    return Outcome(
-        tuple(issues), where=f"{pairs} within others", nothing="" if pairs else "no outline within another"
+                findings.add(what, field=outer.one.name, arm=work.claim.arm)
+    return findings.outcome_without_value(
+        "" if pairs else "no outline within another", f"{pairs} within others"
     )
 
 
@@ -444,10 +407,8 @@ def trim_feed(context: Context) -> Outcome:
     """While it cuts the tool goes no faster than its feed over the cosine of the wall's angle, by the
     thickness that the sine law leaves there, and on average, but for a knife, no slower than the wanted share
     of that; a torch is nowhere much slower, where it would burn away more than its slot."""
-    trimming = context.get(TRIMMING)
-    issues: list[Issue] = []
-    worst, where = 0.0, ""
-    for work, _, key, _way in every(trimming):
+    findings = Findings("verify.trim_feed", context, worst=0.0)
+    for work, _, key, _way in every(context.get(TRIMMING)):
         claim, track = work.claim, work.of_slot(key)
         time, length = np.diff(track.time), np.linalg.norm(np.diff(track.tip, axis=0), axis=1)
         time, length = time[track.joined], length[track.joined]
@@ -457,19 +418,14 @@ def trim_feed(context: Context) -> Outcome:
         there = np.maximum(limit[:-1], limit[1:])[track.joined]
         speed = length / np.maximum(time, 1e-6)
         share = speed / there
-        if float(share.max()) > worst:
-            worst, where = float(share.max()), key
+        findings.highest(share.max(), key)
         rows = track.rows[1:][track.joined]
-        bad = np.flatnonzero(share > FEED_SLACK)
-        for i in bad[:: max(1, len(bad) // ISSUES_SHOWN)]:
-            what = f"the tool cuts at {mm(float(speed[i])):.2f} mm/s in {key}; allowed there: "
-            what += f"{mm(float(there[i])):.2f}"
-            measure = (mm(float(speed[i])), mm(float(there[i])), "mm/s")
-            issues.append(
-                at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[i]), measure)
-            )
+        for i in evenly(share > FEED_SLACK, ISSUES_SHOWN):
+            got, most = mm(float(speed[i])), mm(float(there[i]))
+            what = f"the tool cuts at {got:.2f} mm/s in {key}; allowed there: {most:.2f}"
+            findings.at_sample(what, claim.arm, rows[i], (got, most, "mm/s"))
         if claim.torch is not None:
-            issues += _lingers(context, work, key)
+            _lingers(findings, work, key)
         if claim.knife is not None:  # which may be as slow as it likes
             continue
         if claim.mill is not None:  # on its way down another feed counts
@@ -483,13 +439,11 @@ def trim_feed(context: Context) -> Outcome:
         if mean < AVERAGE_SLACK * claim.least_feed:
             what = f"the tool cuts at {100 * mean:.0f} % of its feed in {key} on average; wanted: "
             what += f"{100 * claim.least_feed:.0f} %"
-            issues.append(Issue("verify.trim_feed", what, field=key, value=mean, limit=claim.least_feed))
-    if not where:
-        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
-    return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
+            findings.add(what, (mean, claim.least_feed, None), field=key)
+    return findings.outcome(float, "of the feed", FEED_SLACK, nothing=NOTHING_TRIMMED)
 
 
-def _lingers(context: Context, work: TrimWork, key: str) -> Iterator[Issue]:
+def _lingers(findings: Findings, work: TrimWork, key: str) -> None:
     """Whether a torch, once it moves, takes too long for some short stretch of its slot."""
     claim, track = work.claim, work.of_slot(key)
     ends = [np.linalg.norm(track.tip - track.tip[k], axis=1) > STANDING for k in (0, -1)]
@@ -507,42 +461,32 @@ def _lingers(context: Context, work: TrimWork, key: str) -> Iterator[Issue]:
     if spent[k] > most[k]:
         what = f"the torch takes {spent[k]:.2f} s for {mm(float(way[k])):.2f} mm in {key}; allowed: "
         what += f"{most[k]:.2f} s"
-        measure = (float(spent[k]), float(most[k]), "s")
-        yield at_sample("verify.trim_feed", what, context.motion, claim.arm, int(rows[k]), measure)
+        findings.at_sample(what, claim.arm, rows[k], (float(spent[k]), float(most[k]), "s"))
 
 
 @rule("verify.trim_clear", TrimsSheet)
 def trim_clear(context: Context) -> Outcome:
     """The tool that is mounted is the claimed one, and in slots and on the ways to them and from them no part
     of it, of a mill or a knife none that does not cut, is nearer to the formed sheet than it may be."""
-    trimming = context.get(TRIMMING)
-    issues: list[Issue] = []
-    worst, limit, where = np.inf, None, ""
-    for work in trimming.works:
+    findings = Findings("verify.trim_clear", context, worst=np.inf)
+    for work in context.get(TRIMMING).works:
         claim = work.claim
-        issues += _same_tool(context, work)
+        _same_tool(findings, work)
         rows = np.flatnonzero(np.char.startswith(work.track.label.astype(str), f"{TRIM}/"))
         if not len(rows):
             continue
         try:
             off, row = off_sheet(work, rows)
         except UnreadError as error:
-            issues.append(
-                Issue("verify.trim_clear", str(error), hint="take a smaller sheet or a coarser mesh")
-            )
+            findings.add(str(error), hint="take a smaller sheet or a coarser mesh")
             continue
         least = (1.0 - CLEAR_SHARE) * claim.clear - work.sheet.tolerance
-        if off < worst:
-            worst, limit, where = off, mm(least), str(work.track.label[row])
+        findings.lowest(off, work.track.label[row], least)
         if off < least:
             what = f"in {work.track.label[row]} the tool is {mm(off):.2f} mm off the sheet; wanted: "
             what += f"{mm(claim.clear):g} mm"
-            measure = (mm(off), mm(least), "mm")
-            sample = int(work.track.rows[row])
-            issues.append(at_sample("verify.trim_clear", what, context.motion, claim.arm, sample, measure))
-    if limit is None:
-        return Outcome(tuple(issues), nothing=NOTHING_TRIMMED)
-    return Outcome(tuple(issues), mm(worst), limit, "mm", where)
+            findings.at_sample(what, claim.arm, work.track.rows[row], in_mm(off, least))
+    return findings.outcome(mm, "mm", nothing=NOTHING_TRIMMED)
 
 
 TORCH_SIZES = ("standoff", "kerf", "nozzle", "cone", "body", "back")
@@ -553,9 +497,10 @@ BLADE_SIZES = ("thickness", "width", "end", "ground", "length")
 """and what of a knife's blade."""
 
 
-def _same_tool(context: Context, work: TrimWork) -> Iterator[Issue]:
+def _same_tool(findings: Findings, work: TrimWork) -> None:
     """Whether the tool on the arm is the claimed one, and cuts as wide as is claimed."""
-    claim, tool = work.claim, context.setups[work.index].cell.arm(work.claim.arm).tool
+    claim = work.claim
+    tool = findings.context.setups[work.index].cell.arm(claim.arm).tool
     same = False
     if claim.mill is not None and isinstance(tool, Mill):
         said = claim.mill.cutter
@@ -567,7 +512,7 @@ def _same_tool(context: Context, work: TrimWork) -> Iterator[Issue]:
         same = _alike(tool, claim.torch, TORCH_SIZES) and abs(claim.kerf - claim.torch.kerf) < SAME_SIZE
     if not same:
         what = f"the tool of {claim.arm} in setup {work.index + 1} is another one than the claimed"
-        yield Issue("verify.trim_clear", what, arm=claim.arm)
+        findings.add(what, arm=claim.arm)
 
 
 SAME_SIZE = 1e-9
