@@ -107,7 +107,7 @@ def test_what_stands_farther_than_may_be_left_is_off_without_a_search(
         return searched(own, places, half)
 
     monkeypatch.setattr(cut_part, "unreached", seen)
-    context = types.SimpleNamespace(rulings=(ruled,))
+    context = types.SimpleNamespace(of=lambda kind: (ruled,))
     found = cut_part._reachable(context, types.SimpleNamespace(segment=ruled.segment, kerf=ruled.kerf), face)  # type: ignore[arg-type]
     assert asked == [1]  # the corner; the flank that stands 20 mm off is none of it
     assert found.share == pytest.approx(share + 1.0 / len(x))

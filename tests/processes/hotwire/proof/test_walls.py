@@ -50,7 +50,7 @@ def test_faces_cross_that_go_on_a_little_beyond_one_another(beyond: float, wante
 
 def test_what_is_outside_of_any_face_is_outside_of_the_part() -> None:
     rng = np.random.default_rng(5)
-    context: Any = SimpleNamespace(rulings=(), datum=SimpleNamespace(box=BLOCK))
+    context: Any = SimpleNamespace(of=lambda kind: (), datum=SimpleNamespace(box=BLOCK))
     off, tolerance = _Bounds(context, ring(0.018)).off(points := rng.uniform(*BLOCK, (4000, 3)))
     # the same by half spaces; what is nearest to a rim of a face is not known
     wanted = (np.abs(points[:, :2]) - HALF).max(axis=1)
@@ -68,7 +68,7 @@ def test_a_face_that_only_meets_another_does_not_make_outside_what_is_beyond_it(
     """A rebate: the part is below its floor and behind its wall, which does not end where its floor does."""
     floor = face("floor", np.array([[-0.1, 0.0], [0.0, 0.0]]))
     wall = face("wall", np.array([[0.0, 0.0], [0.0, -0.06]]))
-    context: Any = SimpleNamespace(rulings=(), datum=SimpleNamespace(box=BLOCK))
+    context: Any = SimpleNamespace(of=lambda kind: (), datum=SimpleNamespace(box=BLOCK))
     off, _ = _Bounds(context, (floor, wall)).off(np.array([[0.02, -0.03, 0.025], [-0.05, 0.01, 0.025]]))
     assert (off < 0.0).all()
 
