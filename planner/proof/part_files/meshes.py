@@ -326,6 +326,12 @@ LOFT_CHORD: Final = 1e-5
 """How far cells may be off the loft [m], where the most of them are enough."""
 _NORMAL_STEP: Final = 1e-5
 """Step by which a surface's normals are found, over its parameters' range."""
+_RULINGS: Final = 2000
+"""Rulings of a face."""
+STRAIGHT: Final = 1e-8
+"""A line whose middle is off its chord by less [m] is straight."""
+_PLACES: Final = np.linspace(0.0, 1.0, 41)
+"""Places along and across a face at which it is looked at."""
 _SAME_VERTEX: Final = 1e-9
 """Vertices so near, of the mesh's extent, are one."""
 _CORNER_ANGLE: Final = 20.0 * np.pi / 180.0
@@ -416,6 +422,44 @@ def gridded(
     if flip:
         up, faces = -up, faces[:, ::-1]
     return Face(points, up, faces, np.arange(1, len(faces) + 1))
+
+
+Region = tuple[tuple[float, float], tuple[float, float]]
+"""Ranges of a surface's parameters u and v."""
+
+
+def straight_ways(at: Places, region: Region) -> list[int]:
+    """Along which parameters, u (0) or v (1), all lines of a surface are straight, as even places tell."""
+    grid = [low + _PLACES * (high - low) for low, high in region]
+    u, v = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
+    lines = at(u, v).reshape(len(_PLACES), len(_PLACES), 3)
+    return [k for k, own in enumerate((np.swapaxes(lines, 0, 1), lines)) if _all_straight(own)]
+
+
+def _all_straight(lines: FloatArray) -> bool:
+    way = lines[:, -1] - lines[:, 0]
+    length = np.linalg.norm(way, axis=1)
+    if length.min() < STRAIGHT:
+        return False
+    off = np.cross(lines - lines[:, :1], (way / length[:, None])[:, None])
+    return bool(np.linalg.norm(off, axis=2).max() < STRAIGHT)
+
+
+def rulings(
+    at: Places, region: Region, kinks: tuple[FloatArray, FloatArray], wanted: str | None
+) -> tuple[int, FloatArray, FloatArray]:
+    """The parameter along which a surface is straight, ``wanted`` or the only one, and its rulings from one
+    end to the other (M, 3), with ``kinks`` along u and v among them. Raises `UnreadError`."""
+    along = [k for k in straight_ways(at, region) if wanted in (None, "uv"[k])]
+    if len(along) != 1:
+        raise UnreadError(f"its face is straight {'both ways' if along else 'in no way'}")
+    (k,) = along
+    low, high = region[1 - k]
+    inner = kinks[1 - k]
+    t = np.union1d(np.linspace(low, high, _RULINGS), inner[(inner > low) & (inner < high)])
+    ends = [np.full(len(t), side) for side in region[k]]
+    start, end = (at(side, t) if k == 0 else at(t, side) for side in ends)
+    return k, start, end
 
 
 def _cells(surface: Places, u: tuple[float, float], v: tuple[float, float]) -> int:

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from planner.geometry.arrays import FloatArray, spread_rows
 from planner.proof.part_files import UNITS, Said, UnreadError, file_of
 from planner.proof.part_files.curves import Drawn, Ruled, chained, nurbs
-from planner.proof.part_files.meshes import Face, face_of, gridded
+from planner.proof.part_files.meshes import STRAIGHT, Face, Region, face_of, gridded, rulings
 
 _UNIT_NAMES: Final = {
     "Microns": 1 / 1_000_000,
@@ -35,14 +35,10 @@ _UNIT_NAMES: Final = {
 """Rhino's names of units [m]."""
 _CHORDS: Final = 192
 """Chords of each span of a curve."""
-_RULINGS: Final = 2000
-"""Rulings of a face."""
-_STRAIGHT: Final = 1e-8
-"""A line whose middle is off its chord by less [m] is straight."""
-_PLACES: Final = np.linspace(0.0, 1.0, 41)
-"""Places along and across a face at which it is looked at."""
 _EDGE_PLACES: Final = 17
 """Places of an edge at most at which it is looked at, its ends among them."""
+_SEAM_PLACES: Final = 41
+"""Places along an end of a surface at which it is held against the other end."""
 _CORNER_OFF: Final = 2e-5
 """A corner of a face is off its surface by this at most [m]."""
 _THIN: Final = 1e-3
@@ -73,16 +69,8 @@ def ruled_face(said: Said) -> Ruled:
     """The rulings of a ruled face, its normal tangent x ruling, the first one again at the end of a closed
     one. Raises `UnreadError`."""
     found = _surface(said)
-    wanted = said.get("rulings")
-    along = [k for k, key in enumerate("uv") if wanted in (None, key) and found.is_straight(k)]
-    if len(along) != 1:
-        raise UnreadError(f"its face is straight {'both ways' if along else 'in no way'}")
-    low, high = found.region[1 - along[0]]
-    knots = found.knots[1 - along[0]]
-    t = np.union1d(np.linspace(low, high, _RULINGS), knots[(knots > low) & (knots < high)])
-    across = [np.full(len(t), side) for side in found.region[along[0]]]
-    start, end = (found.at(at, t) if along[0] == 0 else found.at(t, at) for at in across)
-    middle = len(t) // 2
+    _, start, end = rulings(found.at, found.region, found.knots, said.get("rulings"))
+    middle = len(start) // 2
     up = np.cross(start[middle + 1] - start[middle - 1], end[middle] - start[middle])
     if float(up @ found.normal(0.5)) < 0.0:
         start, end = start[::-1], end[::-1]
@@ -115,7 +103,7 @@ class _Patch:
     degree: tuple[int, int]
     knots: tuple[FloatArray, FloatArray]
     control: FloatArray
-    region: tuple[tuple[float, float], tuple[float, float]]
+    region: Region
     reversed: bool
 
     def at(self, u: FloatArray, v: FloatArray) -> FloatArray:
@@ -124,19 +112,6 @@ class _Patch:
         rows = self.control.reshape(count, across * 4)
         lines = nurbs(rows, np.ones(count), self.knots[0], self.degree[0], u).reshape(-1, across, 4)
         return _over(nurbs(lines, np.ones(across), self.knots[1], self.degree[1], v))
-
-    def is_straight(self, along: int) -> bool:
-        """Whether lines along u (0) or v (1) are, as places at even shares of them tell."""
-        grid = [low + _PLACES * (high - low) for low, high in self.region]
-        u, v = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
-        lines = self.at(u, v).reshape(len(_PLACES), len(_PLACES), 3)
-        lines = lines if along == 1 else np.swapaxes(lines, 0, 1)
-        way = lines[:, -1] - lines[:, 0]
-        length = np.linalg.norm(way, axis=1)
-        if length.min() < _STRAIGHT:
-            return False
-        off = np.cross(lines - lines[:, :1], (way / length[:, None])[:, None])
-        return bool(np.linalg.norm(off, axis=2).max() < _STRAIGHT)
 
     def normal(self, share: float) -> FloatArray:
         """The face's normal (3,), of no stated length, at a share of its region."""
@@ -175,9 +150,7 @@ def _surface(said: Said) -> _Patch:
     return dataclasses.replace(whole, region=_region(whole, one.Loops[0].Trims, brep.Edges, size))
 
 
-def _region(
-    whole: _Patch, trims: Any, edges: Any, size: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def _region(whole: _Patch, trims: Any, edges: Any, size: float) -> Region:
     """The parameters between which a face lies, by places of its edges."""
     numbers = [trim.EdgeIndex for trim in trims if trim.EdgeIndex >= 0]
     places = []
@@ -207,10 +180,10 @@ def _region(
 def _meets_itself(patch: _Patch, along: int) -> bool:
     """Whether a whole surface ends along u (0) or v (1) where it begins."""
     (low, high), other = patch.region[along], patch.region[1 - along]
-    t = np.linspace(*other, len(_PLACES))
+    t = np.linspace(*other, _SEAM_PLACES)
     ends = [np.full(len(t), end) for end in (low, high)]
     first, last = (patch.at(end, t) if along == 0 else patch.at(t, end) for end in ends)
-    return bool(np.linalg.norm(first - last, axis=1).max() < _STRAIGHT)
+    return bool(np.linalg.norm(first - last, axis=1).max() < STRAIGHT)
 
 
 def _inverted(patch: _Patch, point: FloatArray) -> FloatArray:

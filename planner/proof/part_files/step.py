@@ -13,7 +13,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,15 +21,9 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.proof.part_files import UNITS, Said, UnreadError, file_of
 from planner.proof.part_files.curves import Ruled
-from planner.proof.part_files.meshes import Face, gridded
+from planner.proof.part_files.meshes import Face, gridded, rulings
 
 _IGES: Final = (".igs", ".iges")
-_RULINGS: Final = 2000
-"""Rulings of a face."""
-_STRAIGHT: Final = 1e-8
-"""A line whose middle is off its chord by less [m] is straight."""
-_PLACES: Final = np.linspace(0.0, 1.0, 41)
-"""Places along and across a face at which it is looked at."""
 _LONGEST: Final = 300.0
 """Seconds after which a file is given up."""
 
@@ -107,21 +100,10 @@ def _arrays(asked: dict[str, Any]) -> dict[str, Any]:
     if asked["want"] == "face":
         found = gridded(at, *region, turned != bool(asked["flip"]), kinks)
         return {"vertices": found.vertices, "up": found.up, "faces": found.faces, "number": found.number}
-    wanted = asked["rulings"]
-    along = [k for k, key in enumerate("uv") if wanted in (None, key) and _is_straight(at, region, k)]
-    if len(along) != 1:
-        raise UnreadError(f"its face is straight {'both ways' if along else 'in no way'}")
-    low, high = region[1 - along[0]]
-    inner = kinks[1 - along[0]]
-    t = np.union1d(np.linspace(low, high, _RULINGS), inner[(inner > low) & (inner < high)])
-    ends = [np.full(len(t), side) for side in region[along[0]]]
-    start, end = (at(side, t) if along[0] == 0 else at(t, side) for side in ends)
+    along, start, end = rulings(at, region, kinks, asked["rulings"])
     # along u, dS/dv x ruling is against dS/du x dS/dv
-    return (
-        {"start": start[::-1], "end": end[::-1]}
-        if (along[0] == 0) != turned
-        else {"start": start, "end": end}
-    )
+    order = slice(None, None, -1) if (along == 0) != turned else slice(None)
+    return {"start": start[order], "end": end[order]}
 
 
 def _kinks(surface: Any) -> tuple[FloatArray, FloatArray]:
@@ -133,21 +115,6 @@ def _kinks(surface: Any) -> tuple[FloatArray, FloatArray]:
     own = surface.BSpline()
     along = np.array([own.UKnot(k + 1) for k in range(own.NbUKnots())])
     return along, np.array([own.VKnot(k + 1) for k in range(own.NbVKnots())])
-
-
-def _is_straight(
-    at: Callable[[FloatArray, FloatArray], FloatArray], region: tuple[tuple[float, float], ...], along: int
-) -> bool:
-    grid = [low + _PLACES * (high - low) for low, high in region]
-    u, v = (part.ravel() for part in np.meshgrid(*grid, indexing="ij"))
-    lines = at(u, v).reshape(len(_PLACES), len(_PLACES), 3)
-    lines = lines if along == 1 else np.swapaxes(lines, 0, 1)
-    way = lines[:, -1] - lines[:, 0]
-    length = np.linalg.norm(way, axis=1)
-    if length.min() < _STRAIGHT:
-        return False
-    off = np.cross(lines - lines[:, :1], (way / length[:, None])[:, None])
-    return bool(np.linalg.norm(off, axis=2).max() < _STRAIGHT)
 
 
 def _face_of(asked: dict[str, Any]) -> Any:

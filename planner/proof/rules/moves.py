@@ -142,11 +142,9 @@ def zone_size(context: Context) -> Outcome:
             if rides and (apart > TRACK_AHEAD + _ZONE_SLACK or move.zone.linear < 0.0):
                 what = (
                     f"zone {move.zone_name} has the track leave its way {mm(move.zone.external):g} mm from "
-                )
-                what += (
                     f"the target, and the tool {mm(move.zone.tcp):g} mm; allowed are {mm(TRACK_AHEAD):g} mm "
+                    "more, and no length below 0"
                 )
-                what += "more, and no length below 0"
                 issues.append(at_step("verify.zone_size", what, task, move))
             sizes = (move.zone.tcp, move.zone.turn, move.zone.turn_angle)
             if min(sizes) < 0.0 or max(sizes) <= 0.0:

@@ -24,6 +24,7 @@ from planner.programs.steps import (
     single,
 )
 from planner.proof.context import Context
+from planner.proof.findings import Findings
 from planner.proof.language_contribution import of_task
 from planner.proof.rule import Outcome, at_step, mm, rule
 
@@ -59,38 +60,34 @@ def task_list(context: Context) -> Outcome:
 def sync_order(context: Context) -> Outcome:
     """All tasks pass the same synchronisation points in the same order, each of them once, with each block
     closed."""
-    issues = []
+    findings = Findings("verify.sync_order", context)
     rows = [(task, sync_points(task)) for task in context.job.tasks]
     first = rows[0][1] if rows else ()
+    there = [(step.kind, step.ident.lower()) for step in first]
     for task, row in rows:
         here = [(step.kind, step.ident.lower()) for step in row]
-        there = [(step.kind, step.ident.lower()) for step in first]
         if here != there:
-            i = next(
-                (k for k, (a, b) in enumerate(zip(here, there, strict=False)) if a != b),
-                min(len(here), len(there)),
-            )
-            step = row[i] if i < len(row) else None
+            differ = (k for k, (a, b) in enumerate(zip(here, there, strict=False)) if a != b)
+            i = next(differ, min(len(here), len(there)))
             message = f"synchronisation point {i + 1} of {task.name} is not that of the other task"
-            issues.append(at_step("verify.sync_order", message, task, step))
+            findings.at_step(message, task, row[i] if i < len(row) else None)
         seen: set[str] = set()
         inside = False
         for step in row:
             if step.ident.lower() in seen:
-                message = f"syncident {step.ident} is used again; each one may be used once"
-                issues.append(at_step("verify.sync_order", message, task, step))
+                findings.at_step(
+                    f"syncident {step.ident} is used again; each one may be used once", task, step
+                )
             seen.add(step.ident.lower())
             if (step.kind == "SyncMoveOn") == inside or (step.kind == "SyncMoveUndo"):
                 if step.kind == "WaitSyncTask" and not inside:
                     continue
                 message = f"{step.kind} {step.ident} does not stand where a block may open, close or wait"
-                issues.append(at_step("verify.sync_order", message, task, step))
+                findings.at_step(message, task, step)
             inside = step.kind == "SyncMoveOn" or (inside and step.kind != "SyncMoveOff")
         if inside:
-            issues.append(
-                Issue("verify.sync_order", f"{task.name} never leaves its last block", arm=task.arm.name)
-            )
-    return Outcome(tuple(issues))
+            findings.add(f"{task.name} never leaves its last block", arm=task.arm.name)
+    return findings.outcome_without_value()
 
 
 def _blocks(context: Context) -> list[tuple[Stage, dict[str, tuple[MoveStep, ...]]]]:
@@ -116,49 +113,41 @@ def _pairs(context: Context) -> list[tuple[TaskText, MoveStep, TaskText, MoveSte
 @rule("verify.move_count")
 def move_count(context: Context) -> Outcome:
     """All tasks have the same number of moves in a block."""
-    issues = []
-    worst = 0
+    findings = Findings("verify.move_count", context, worst=0)
     for stage, moves in _blocks(context):
         counts = {name: len(row) for name, row in moves.items()}
-        worst = max(worst, max(counts.values()) - min(counts.values()))
+        findings.highest(max(counts.values()) - min(counts.values()))
         if len(set(counts.values())) > 1:
-            message = f"block {stage.ident}: " + ", ".join(
-                f"{name} has {n} moves" for name, n in counts.items()
-            )
-            issues.append(Issue("verify.move_count", message, hint="every move of a block needs its partner"))
-    return Outcome(tuple(issues), worst, 0, "moves")
+            told = ", ".join(f"{name} has {n} moves" for name, n in counts.items())
+            findings.add(f"block {stage.ident}: {told}", hint="every move of a block needs its partner")
+    return findings.outcome(int, "moves", 0)
 
 
 @rule("verify.move_ids")
 def move_ids(context: Context) -> Outcome:
     """IDs ascend and are equal in both tasks inside a block, and there are none outside or where two
     controllers meet by signals."""
-    issues = []
+    findings = Findings("verify.move_ids", context)
     for _, stage, task, moves in context.moves():
         last = -1
         for move in moves:
             if not stage.synchronised or stage.ends:
                 if move.id is not None:
-                    issues.append(
-                        at_step(
-                            "verify.move_ids", f"\\ID:={move.id} outside a block of MultiMove", task, move
-                        )
-                    )
+                    findings.at_step(f"\\ID:={move.id} outside a block of MultiMove", task, move)
                 continue
             if move.id is None:
-                issues.append(at_step("verify.move_ids", "a move in a block has no \\ID", task, move))
+                findings.at_step("a move in a block has no \\ID", task, move)
             elif move.id > LARGEST_ID:
                 message = f"\\ID:={move.id}; beyond {LARGEST_ID} the controller does not tell IDs apart"
-                issues.append(at_step("verify.move_ids", message, task, move))
+                findings.at_step(message, task, move)
             elif move.id <= last:
-                message = f"\\ID:={move.id} follows {last}; IDs must ascend"
-                issues.append(at_step("verify.move_ids", message, task, move))
+                findings.at_step(f"\\ID:={move.id} follows {last}; IDs must ascend", task, move)
             last = move.id if move.id is not None else last
     for a_task, a, b_task, b in _pairs(context):
         if a.id != b.id:
             message = f"\\ID:={b.id} runs with \\ID:={a.id} of {a_task.name} (line {a.line})"
-            issues.append(at_step("verify.move_ids", message, b_task, b))
-    return Outcome(tuple(issues))
+            findings.at_step(message, b_task, b)
+    return findings.outcome_without_value()
 
 
 @rule("verify.zone_kind")

@@ -17,11 +17,11 @@ from planner.cell import axis_way
 from planner.cell.axis_way import AxisWay, Look
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, corners, transform
-from planner.issues import Issue
 from planner.problem import END, PLATE, STOCK, TILT, Arm, Cell, Setup, Turntable
 from planner.programs.steps import MOST_OUTER
 from planner.proof.clearance.lines_apart import SAME_WAY, nearer, reach, round_about, slides, standing
 from planner.proof.context import Context
+from planner.proof.findings import Findings, in_mm
 from planner.proof.kinematics.external_axes import SAME_VALUE, OuterAxis, floor_of, moved_on, outer_axes, slid
 from planner.proof.models import MODELS
 from planner.proof.rule import Outcome, mm, rule
@@ -49,24 +49,21 @@ def track_way(context: Context) -> Outcome:
     rides is held against the values by such sums and turns, and shapes that ride against all that stand but
     those that bear them, along lines. The base of a track that goes along keeps it there, too."""
     models, limit = context.get(MODELS), context.problem.settings.clearance
-    issues: list[Issue] = []
-    worst, where, looks = np.inf, "", 0
+    findings, looks = Findings(_WAY, context, worst=np.inf), 0
     at = context.problem.homes
     for index, setup in enumerate(context.setups):
-        issues += [Issue(_WAY, what) for what in _astray(context, models(index), setup)]
+        for what in _astray(context, models(index), setup):
+            findings.add(what)
         for axis, ends in _goes(context, index, setup, at):
             model = _before(context, models(index), setup, at)
             way = _way(model, setup, at, axis, ends, limit)
             looks += len(way.looked)
-            if way.least < worst:
-                worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
+            findings.lowest(way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}")
             on = f"on the way of {axis.unit} from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
             arm = axis.arm
             if way.least < limit or not way.clear:
                 near = f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
-                issues.append(
-                    Issue(_WAY, on + near, arm=arm, value=mm(way.least), limit=mm(limit), unit="mm")
-                )
+                findings.add(on + near, in_mm(way.least, limit), arm=arm)
             strayed = _strayed(context, models(index).cell, index, at, axis, ends, way)
             if not strayed and way.clear:
                 table, tilt = setup.cell.turntable, at.get(TILT, 0.0)
@@ -75,27 +72,25 @@ def track_way(context: Context) -> Outcome:
                 elif table is not None:
                     strayed = _block_into(model, table, tilt, axis, way, limit)
             if strayed:
-                issues.append(Issue(_WAY, on + strayed, arm=arm))
+                findings.add(on + strayed, arm=arm)
             at = {**at, axis.carries: ends[1]}
         for axis, ends in _along(context, index, setup):
             rider = setup.cell.arm(axis.carries)
             model = models(index).with_bases({rider.name: _base(context, rider, {axis.carries: ends[0]})})
             way = _bare(model, setup, axis, ends, limit)
             looks += len(way.looked)
-            if way.least < worst:
-                worst, where = way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}"
+            findings.lowest(way.least, f"{' and '.join(way.pair)} at {axis.shown(way.at)}")
             on = f"as {axis.unit} goes along from {axis.shown(ends[0])} to {axis.shown(ends[1])}: "
             near = f"{' and '.join(way.pair)} are {mm(way.least):.3f} mm apart at {axis.shown(way.at)}"
             strayed = "" if way.least >= limit and way.clear else near
             strayed = strayed or _strayed(context, setup.cell, index, at, axis, ends, way)
             strayed = strayed or _rider_into(context, model, at, axis, way, limit)
             if strayed:
-                issues.append(Issue(_WAY, on + strayed, arm=axis.carries))
+                findings.add(on + strayed, arm=axis.carries)
             ended = context.problem.stations.get(setup.operations[0], {}).get(f"{axis.carries}{END}")
             at = at if ended is None else {**at, axis.carries: ended}
-    if not np.isfinite(worst):
-        return Outcome(tuple(issues), nothing="no track or turntable moves")
-    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", f"{where}, {looks} looks")
+    findings.where += f", {looks} looks"
+    return findings.outcome(mm, "mm", limit, nothing="no track or turntable moves")
 
 
 def _goes(

@@ -28,10 +28,11 @@ from planner.processes.trim.plan.face import Face, lay
 from planner.processes.trim.plan.operation import OutlineFile
 from planner.processes.trim.plan.slots import Wanted
 from planner.processes.trim.proof import outlines
-from planner.processes.trim.proof.rules.mill import _beside, trim_mill, trim_spindle
+from planner.processes.trim.proof.rules.mill import Slot, _beside, trim_mill, trim_spindle
 from planner.processes.trim.proof.rules.slots import trim_cut
 from planner.processes.trim.proof.torch_motion import TRIMMING, Trimming
 from planner.proof.context import Context
+from planner.proof.findings import Findings
 from planner.proof.prove import Prover
 from planner.proof.rules.power import signals
 from planner.targets import ScrewFreedom
@@ -261,10 +262,12 @@ def test_the_proof_finds_a_cutter_that_is_too_thick_for_its_slot(job: Job) -> No
     way = work.way("trim/round")
     assert way is not None
     curve = work.slots["trim/round"]
-    assert not _beside(context, work, curve, own, "trim/round", way)[1]
+    findings = Findings("verify.trim_mill", context)
+    _beside(Slot(findings, work, "trim/round", way), curve, own)
+    assert not findings.issues
     thick = dataclasses.replace(own, cutter=dataclasses.replace(own.cutter, radius=2.0e-3))
-    found = _beside(context, work, curve, thick, "trim/round", way)[1]
-    assert {one.code for one in found} == {"verify.trim_mill"}
+    _beside(Slot(findings, work, "trim/round", way), curve, thick)
+    assert {one.code for one in findings.issues} == {"verify.trim_mill"}
 
 
 @pytest.mark.parametrize(
@@ -398,8 +401,9 @@ def test_a_long_slot_is_looked_at_as_closely_as_a_short_one(job: Job) -> None:
     k = int(np.argmin(way.off)) + 3 * len(way.tip)
     out = curve.ring[np.argmin(np.linalg.norm(curve.ring - way.feet.foot[k % len(way.tip)], axis=1))]
     long["tip"][k] += 1.5 * (out - way.feet.foot[k % len(way.tip)])
-    found = _beside(context, work, curve, own, "trim/wall", dataclasses.replace(way, **long))[1]
-    assert {issue.code for issue in found} == {"verify.trim_mill"}
+    findings = Findings("verify.trim_mill", context)
+    _beside(Slot(findings, work, "trim/wall", dataclasses.replace(way, **long)), curve, own)
+    assert {issue.code for issue in findings.issues} == {"verify.trim_mill"}
 
 
 def test_an_arm_of_ur_mills(tmp_path: Path) -> None:

@@ -14,9 +14,12 @@ from planner.processes.poses.claims import FollowsPoses, FollowsTable, FreeAxis
 from planner.processes.poses.proof import pose_passing
 from planner.processes.poses.proof.pose_passing import Passing, PoseTable, Way, passing, slow_places, values
 from planner.proof.context import Context
+from planner.proof.findings import Findings, in_mm
 from planner.proof.replay.tool_speeds import peaks
-from planner.proof.rule import FEED_SLACK, Outcome, mm, rule
+from planner.proof.rule import FEED_SLACK, Outcome, issue, mm, rule
 
+FOLLOWS: Final = "verify.follows"
+"""Code of this rule."""
 FEED_ROUNDING: Final = 1.002
 """Moves may be faster than the feed by this factor: their times are rounded."""
 FULL_TURN: Final = 2.0 * np.pi
@@ -29,46 +32,48 @@ OWN_TARGET: Final = (1e-5, float(np.deg2rad(0.01)))
 def follows(context: Context) -> Outcome:
     """Targets of the tools are the poses that the problem gives, in order, up to the free axes and within
     their ranges, no faster than at their feeds and no slower than at their least ones."""
-    issues: list[Issue] = []
-    worst, limits = 0.0, []
+    findings = Findings(FOLLOWS, context, worst=0.0)
+    limits = []
     for index, setup in enumerate(context.setup_claims):
         for claim in (c for group in setup.groups for c in group):
             if isinstance(claim, FollowsPoses):
-                found, off = _poses(context, index, claim)
+                _poses(findings, index, claim)
             elif isinstance(claim, FollowsTable):
-                found, off = _table(context, index, claim)
+                _table(findings, index, claim)
             else:
                 continue
-            issues += found
-            worst = max(worst, off)
             limits.append(claim.position_tol)
     if not limits:
         return Outcome(nothing="no such claim")
-    return Outcome(tuple(issues), worst, mm(max(limits)), "mm")
+    return findings.outcome(mm, "mm", max(limits))
 
 
-def _poses(context: Context, index: int, claim: FollowsPoses) -> tuple[list[Issue], float]:
-    """Issues of one claim in setup ``index``, and the largest distance [mm] of a pose to its target."""
-    rows, paths = _paths(context, index, (claim.arm,), claim.frame)
+def _poses(findings: Findings, index: int, claim: FollowsPoses) -> None:
+    """One claim in setup ``index``."""
+    rows, paths = _paths(findings.context, index, (claim.arm,), claim.frame)
     if not len(rows):
-        return [_never((claim.arm,))], 0.0
+        _never(findings, (claim.arm,))
+        return
     tolerance = claim.position_tol, claim.angle_tol
     found = passing(paths, (np.asarray(claim.poses),), (claim.free,), tolerance)
-    return _missed(found, (claim.arm,), claim.position_tol)
+    _missed(findings, found, (claim.arm,), claim.position_tol)
 
 
-def _table(context: Context, index: int, claim: FollowsTable) -> tuple[list[Issue], float]:
-    """The same of a table, which the proof reads itself, with the ranges of what is free and the feeds."""
+def _table(findings: Findings, index: int, claim: FollowsTable) -> None:
+    """A table, which the proof reads itself, with the ranges of what is free and the feeds."""
+    context = findings.context
     operation = next(op for op in context.problem.operations if op.name == claim.operation)
     file = operation.file  # type: ignore[attr-defined]
     try:
         table = pose_passing.read_pose_table(file, claim.arms)
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         what = f"{file.name}: the proof cannot read the poses ({type(error).__name__}: {error})"
-        return [Issue("verify.follows", f"{what}; write the table anew", file=str(file))], 0.0
+        findings.add(f"{what}; write the table anew", file=str(file))
+        return
     rows, paths = _paths(context, index, claim.arms, claim.frame)
     if not len(rows):
-        return [_never(claim.arms)], 0.0
+        _never(findings, claim.arms)
+        return
     poses = [table.poses[arm] for arm in claim.arms]
     twists = [[_twist(axis) for axis in claim.free if arm in axis.arms] for arm in claim.arms]
     tolerance = (claim.position_tol, claim.angle_tol)
@@ -81,17 +86,16 @@ def _table(context: Context, index: int, claim: FollowsTable) -> tuple[list[Issu
             break
     else:
         found = passing(paths, poses, twists, tolerance)
-    issues, worst = _missed(found, claim.arms, claim.position_tol)
-    if issues:
-        return issues, worst
+    if _missed(findings, found, claim.arms, claim.position_tol):
+        return
     taken: dict[str, FloatArray] = {}
     for arm, path, pose, own in zip(claim.arms, paths, poses, twists, strict=True):
         moved = values(inverse(pose) @ path[found.target], own)[0]
         free = [axis for axis in claim.free if arm in axis.arms]
         for axis, value in zip(free, moved.T, strict=True):
-            issues += _range(claim, axis, arm, value, taken)
-    issues += _feeds(context, claim, table, rows[found.target])
-    return issues + _least(context, claim, table, rows, paths, found.target), worst
+            _range(findings, claim, axis, arm, value, taken)
+    _feeds(findings, claim, table, rows[found.target])
+    findings.issues += _least(context, claim, table, rows, paths, found.target)
 
 
 def _paths(
@@ -116,23 +120,23 @@ def _paths(
     return rows, paths
 
 
-def _never(arms: tuple[str, ...]) -> Issue:
+def _never(findings: Findings, arms: tuple[str, ...]) -> None:
     who = f"arm {arms[0]} never moves" if len(arms) == 1 else f"arms {' and '.join(arms)} never move together"
-    return Issue("verify.follows", who, arm=arms[0])
+    findings.add(who, arm=arms[0])
 
 
-def _missed(found: Passing, arms: tuple[str, ...], within: float) -> tuple[list[Issue], float]:
-    """Poses that are missed, and the largest distance [mm]."""
-    issues = []
-    who = " and ".join(arms)
+def _missed(findings: Findings, found: Passing, arms: tuple[str, ...], within: float) -> bool:
+    """Poses that are missed, and the largest distance; whether there are any."""
+    who, before = " and ".join(arms), len(findings.issues)
     for i in np.flatnonzero(~found.met[: found.looked]).tolist():
         way, angle = found.off[i].tolist()
         message = f"pose {i + 1} of {who} is missed by {mm(way):.4f} mm and {np.rad2deg(angle):.4f} deg"
-        issues.append(_issue(message, arms[0], i, mm(way), mm(within), "mm"))
+        findings.add(message, in_mm(way, within), arm=arms[0], index=i)
     if found.looked < len(found.met):
         message = f"so many poses of {who} are missed that those from {found.looked + 1} on are not looked at"
-        issues.append(Issue("verify.follows", message, arm=arms[0], index=found.looked))
-    return issues, mm(float(found.off[: found.looked, 0].max(initial=0.0)))
+        findings.add(message, arm=arms[0], index=found.looked)
+    findings.highest(found.off[: found.looked, 0].max(initial=0.0))
+    return len(findings.issues) > before
 
 
 def _bounds(claim: FollowsTable, arm: str) -> FloatArray:
@@ -149,8 +153,13 @@ def _twist(axis: FreeAxis) -> FloatArray:
 
 
 def _range(
-    claim: FollowsTable, axis: FreeAxis, arm: str, value: FloatArray, taken: dict[str, FloatArray]
-) -> list[Issue]:
+    findings: Findings,
+    claim: FollowsTable,
+    axis: FreeAxis,
+    arm: str,
+    value: FloatArray,
+    taken: dict[str, FloatArray],
+) -> None:
     """Where the value (P,) of a free axis is out of its range, or not the one of the arm that shares it;
     ``taken`` has the values of shared axes that other arms took."""
     unit, scale = ("deg", np.rad2deg(1.0)) if axis.turns else ("mm", 1e3)
@@ -161,14 +170,13 @@ def _range(
         off = off - FULL_TURN * np.round(off / FULL_TURN)
     beyond = np.abs(off) - half
     name = f"{'turn about' if axis.turns else 'slide along'} {'xyz'[axis.axis]}"
-    out = []
     if beyond.max() > within:
         i = int(np.argmax(beyond))
         got = float(middle + off[i]) * scale
         allowed = f"{axis.lower * scale:g} to {axis.upper * scale:g} {unit}"
         message = f"pose {i + 1} of {arm}: the free {name} is {got:.3f} {unit}, allowed: {allowed}"
         limit = axis.upper if off[i] > 0.0 else axis.lower
-        out.append(_issue(message, arm, i, got, float(limit) * scale, unit))
+        findings.add(message, (got, float(limit) * scale, unit), arm=arm, index=i)
     key = repr(axis)
     apart = value - taken.setdefault(key, value)
     if axis.turns:
@@ -177,32 +185,28 @@ def _range(
         i = int(np.argmax(np.abs(apart)))
         message = f"pose {i + 1}: {' and '.join(axis.arms)} share the {name}, but are "
         message += f"{abs(apart[i]) * scale:.4f} {unit} apart in it"
-        out.append(_issue(message, arm, i, float(abs(apart[i])) * scale, 2.0 * within * scale, unit))
-    return out
+        measure = float(abs(apart[i])) * scale, 2.0 * within * scale, unit
+        findings.add(message, measure, arm=arm, index=i)
 
 
-def _feeds(context: Context, claim: FollowsTable, table: PoseTable, node: IntArray) -> list[Issue]:
+def _feeds(findings: Findings, claim: FollowsTable, table: PoseTable, node: IntArray) -> None:
     """Poses to which the tools go faster than they may; ``node`` (P,) is the target that meets each. On the
     cubics of trajectories they may not at any instant."""
-    motion = context.motion
+    motion = findings.context.motion
     at = np.cumsum(motion.node_duration)[node]  # exact; samples are too far apart for short moves
     ways = [np.linalg.norm(np.diff(table.poses[arm][:, :3, 3], axis=0), axis=1) for arm in claim.arms]
     took = np.diff(at)
     feed = np.where(np.isnan(table.feed), np.nan if claim.feed is None else claim.feed, table.feed)[1:]
     moved = np.diff(node) > 0
     speed = np.where(moved, np.max(ways, axis=0) / np.maximum(took, 1e-9), 0.0)
-    issues = []
-    for i in np.flatnonzero(~(speed <= FEED_ROUNDING * feed))[:20].tolist():
-        message = f"on the way to pose {i + 2} the tool moves at {mm(speed[i]):.2f} mm/s, allowed: "
-        message += f"{mm(feed[i]):.2f} mm/s"
-        issues.append(_issue(message, claim.arms[0], i + 1, mm(speed[i]), mm(feed[i]), "mm/s"))
-    peak = peaks(context)
+    peak = peaks(findings.context)
     most = np.array([peak[a:b].max(initial=0.0) for a, b in itertools.pairwise((node + 1).tolist())])
-    for i in np.flatnonzero(~(most <= FEED_SLACK * feed))[:20].tolist():
-        message = f"on the way to pose {i + 2} the tool moves at up to {mm(most[i]):.2f} mm/s, allowed: "
-        message += f"{mm(feed[i]):.2f} mm/s"
-        issues.append(_issue(message, claim.arms[0], i + 1, mm(most[i]), mm(feed[i]), "mm/s"))
-    return issues
+    for fast, slack, words in ((speed, FEED_ROUNDING, "at"), (most, FEED_SLACK, "at up to")):
+        for i in np.flatnonzero(~(fast <= slack * feed))[:20].tolist():
+            got, allowed = mm(fast[i]), mm(feed[i])
+            message = f"on the way to pose {i + 2} the tool moves {words} {got:.2f} mm/s, allowed: "
+            message += f"{allowed:.2f} mm/s"
+            findings.add(message, (got, allowed, "mm/s"), arm=claim.arms[0], index=i + 1)
 
 
 def _least(
@@ -233,11 +237,8 @@ def _least(
         stops=motion.node_stop[rows],
         place=tuple(path[:, :3, 3] for path in paths),
     )
+    arm = claim.arms[0]
     return [
-        _issue(fault.message, claim.arms[0], fault.pose, mm(fault.got), mm(fault.limit), "mm/s")
+        issue(FOLLOWS, fault.message, (mm(fault.got), mm(fault.limit), "mm/s"), arm=arm, index=fault.pose)
         for fault in slow_places(way, claim.run_up)
     ]
-
-
-def _issue(message: str, arm: str, index: int, value: float, limit: float, unit: str) -> Issue:
-    return Issue("verify.follows", message, arm=arm, index=index, value=value, limit=limit, unit=unit)
