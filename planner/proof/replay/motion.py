@@ -196,7 +196,6 @@ class Fault:
     task: str
     line: int
     index: int
-    value: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -178,32 +178,25 @@ class _Player:
 
     def _stage(self, number: int, stage: Stage) -> None:
         movers = [task for task in self.job.tasks if stage.moves(task.name)]
-        count = min((len(stage.moves(task.name)) for task in movers), default=0)
-        if not stage.synchronised:
+        if not movers:
+            self._dwell(number, stage)
+        elif stage.synchronised:
+            self._moves(number, stage, movers, min(len(stage.moves(task.name)) for task in movers))
+        else:
             # two arms that move at once here are a fault of their own; they are replayed one after the other
             for task in movers:
                 self._moves(number, stage, [task], len(stage.moves(task.name)))
-            if not movers:
-                self._dwell(
-                    number, stage, {task.name: list(stage.steps[task.name]) for task in self.job.tasks}
-                )
-            return
-        if count == 0:
-            self._dwell(number, stage, {task.name: list(stage.steps[task.name]) for task in self.job.tasks})
-            return
-        self._moves(number, stage, movers, count)
 
-    def _dwell(self, number: int, stage: Stage, steps: Mapping[str, list[Step]]) -> float:
+    def _dwell(self, number: int, stage: Stage) -> None:
         """Time that steps without motion take; notes when each happens."""
         spent = 0.0
         for task in self.job.tasks:
             own = 0.0
-            for step in steps.get(task.name, []):
+            for step in stage.steps[task.name]:
                 self.events.append((self.clock + own, number, task.name, step))
                 own += dwell_time([step])
             spent = max(spent, own)
         self.clock += spent
-        return spent
 
     def _moves(self, number: int, stage: Stage, movers: list[TaskText], count: int) -> None:
         rows = [
@@ -238,12 +231,8 @@ class _Player:
                 continue
             change = np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1
             for i in change[~stop[change]]:
-                self._fault(
-                    "corner",
-                    "a corner between a joint move and a straight one inside a zone",
-                    row,
-                    int(i) - 1,
-                )
+                what = "a corner between a joint move and a straight one inside a zone"
+                self._fault("corner", what, row, int(i) - 1)
             stop[change] = True
         joints = [self.q[row.task.arm.name] for row in rows]
         starts = [self._start(row, q) for row, q in zip(rows, joints, strict=True)]
@@ -449,12 +438,8 @@ class _Player:
         lost = ~np.isfinite(q).all(axis=1)
         if lost.any():
             i = int(np.clip(np.searchsorted(law.times, at[np.argmax(lost)]) - 1, 0, count - 1))
-            self._fault(
-                "reach",
-                "the arm cannot reach the path on the branch that its target names",
-                row,
-                i,
-            )
+            what = "the arm cannot reach the path on the branch that its target names"
+            self._fault("reach", what, row, i)
             q[:] = np.where(np.isfinite(q), q, here if np.isfinite(here).all() else self.q[name])
             here = q[-1].copy()
         self.between[name].append(seen)
@@ -489,8 +474,8 @@ class _Player:
         here = row.base_behind(a) @ row.robot.flange(q) @ row.tool[a]
         return np.asarray(here if carried is None else inverse(carried.samples[sample]) @ here)
 
-    def _fault(self, kind: str, message: str, row: Row, i: int, value: float | None = None) -> None:
-        self.faults.append(Fault(kind, message, row.task.name, row.moves[i].line, self.nodes + i, value))
+    def _fault(self, kind: str, message: str, row: Row, i: int) -> None:
+        self.faults.append(Fault(kind, message, row.task.name, row.moves[i].line, self.nodes + i))
 
 
 @dataclasses.dataclass(frozen=True)

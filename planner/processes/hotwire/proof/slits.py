@@ -11,7 +11,7 @@ alone.
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -287,20 +287,14 @@ class Slit:
         return SLIT_LENGTH_FACTOR * self.section.least(self.lead) + spare
 
 
-def way_in(context: Context, wire: Wire, segment: Segment, claim: CutsSurface) -> Way | None:
-    """The way in to a segment, None where the text has none."""
-    rows = np.flatnonzero(wire.labels == segment.at("in").key)
+def way_at(context: Context, wire: Wire, claim: CutsSurface, phase: Literal["in", "out"]) -> Way | None:
+    """The way in to the segment of a cut, or out of it; None where the text has none."""
+    rows = np.flatnonzero(wire.labels == claim.segment.at(phase).key)
     if not len(rows):
         return None
-    return _way(context, wire, np.append(rows[::-1], max(rows[0] - 1, 0)), claim)
-
-
-def way_out(context: Context, wire: Wire, segment: Segment, claim: CutsSurface) -> Way | None:
-    """The way out of a segment, None where the text has none."""
-    rows = np.flatnonzero(wire.labels == segment.at("out").key)
-    if not len(rows):
-        return None
-    return _way(context, wire, np.concatenate([[max(rows[0] - 1, 0)], rows]), claim)
+    before = max(rows[0] - 1, 0)
+    rows = np.append(rows[::-1], before) if phase == "in" else np.append(before, rows)
+    return _way(context, wire, rows, claim)
 
 
 def _way(context: Context, wire: Wire, rows: IntArray, claim: CutsSurface) -> Way | None:
@@ -333,8 +327,8 @@ def slits(context: Context, wire: Wire) -> dict[str, Slit]:
                 if surface is None:
                     continue
                 section = Section.of(allowed.contours, number, allowed.box)
-                ways = (do(context, wire, surface.segment, surface) for do in (way_in, way_out))
-                into, back = ways
+                into = way_at(context, wire, surface, "in")
+                back = way_at(context, wire, surface, "out")
                 if into is None or back is None or not section.surrounded:
                     continue
                 found = _slit(section, wire, surface, (into, back), lead.get(surface.segment))

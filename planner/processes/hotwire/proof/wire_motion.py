@@ -121,26 +121,24 @@ def samples(context: Context, phase: Phase) -> IntArray:
     return np.flatnonzero((stages >= phase.first) & (stages <= phase.last) & synchronised[stages])
 
 
-def stations(
-    context: Context, rows: IntArray, arms: tuple[str, str], spacing: float = STATION_SPACING
-) -> IntArray:
-    """Samples among ``rows`` at which the wire is looked at: all targets, and between them every ``spacing``
-    of its ends' way."""
+def stations(context: Context, rows: IntArray, arms: tuple[str, str]) -> IntArray:
+    """Samples among ``rows`` at which the wire is looked at: all targets, and between them every
+    `STATION_SPACING` of its ends' way."""
     way = np.zeros(len(rows))
     for arm in arms:
         pose = context.motion.tcp[arm][rows]
         step = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)
         turn = np.linalg.norm(log_rotation(np.swapaxes(pose[:-1, :3, :3], 1, 2) @ pose[1:, :3, :3]), axis=1)
         way[1:] = np.maximum(way[1:], step + _TURN_LEVER * turn)
-    return _chosen(context, rows, way, spacing)
+    return _chosen(context, rows, way)
 
 
-def _chosen(context: Context, rows: IntArray, way: FloatArray, spacing: float) -> IntArray:
-    """Samples among ``rows`` every ``spacing`` of ``way`` (S,), the way to each sample from the one before,
-    and all targets."""
+def _chosen(context: Context, rows: IntArray, way: FloatArray) -> IntArray:
+    """Samples among ``rows`` every `STATION_SPACING` of ``way`` (S,), the way to each sample from the one
+    before, and all targets."""
     motion = context.motion
     along = np.cumsum(way)
-    count = max(int(np.ceil(along[-1] / spacing)), 1) if len(rows) else 1
+    count = max(int(np.ceil(along[-1] / STATION_SPACING)), 1) if len(rows) else 1
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
     nodes = np.searchsorted(rows, motion.node_sample[np.isin(motion.node_sample, rows)])
     ends = [0, len(rows) - 1]
@@ -156,11 +154,11 @@ def follow_wire(context: Context, phase: Phase, claim: WireJoins) -> Wire:
     missing = [arm for arm in claim.arms if arm not in motion.tcp]
     if not len(rows) or missing:
         fault = f"no program for arm {missing[0]}" if missing else "the wire is never moved"
-        return _lost(context, phase, claim, rows[:0], fault)
+        return _lost(context, claim, phase.setup, rows[:0], fault, phase)
     farthest = float(end_distances(context, phase).max())
     if farthest >= claim.length:
         fault = f"its ends are {farthest * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
-        return _lost(context, phase, claim, rows[:0], fault)
+        return _lost(context, claim, phase.setup, rows[:0], fault, phase)
     at = stations(context, rows, claim.arms)
     start, end = (motion.tcp[arm][at] for arm in claim.arms)
     rod = make_rod(claim)
@@ -168,7 +166,7 @@ def follow_wire(context: Context, phase: Phase, claim: WireJoins) -> Wire:
         first = mount(rod, start[0], end[0], _DOWN)
         path = follow(rod, start, end, _DOWN, first)
     except (RodError, np.linalg.LinAlgError, ValueError) as wrong:
-        return _lost(context, phase, claim, at, str(wrong))
+        return _lost(context, claim, phase.setup, at, str(wrong), phase)
     radius = 0.5 * claim.thickness
     points = context.in_stock(phase.setup, at, path.points)
     depth, inside = depth_in(points, context.stock(phase.setup), radius)
@@ -180,45 +178,20 @@ def follow_wire(context: Context, phase: Phase, claim: WireJoins) -> Wire:
 def straight_wire(context: Context, index: int, arm: str, claims: tuple[StraightWire, ...]) -> Wire:
     """The wire of the bow that ``arm`` carries in setup ``index``, over all of that setup."""
     motion, claim = context.motion, claims[0]
-    cuts = _cuts(context, index, (arm,))
     rows = np.flatnonzero(context.sample_setup == index)
     if arm not in motion.tcp or not len(rows):
-        none = np.zeros((0, ROD_SEGMENTS + 1, 3))
-        return Wire(
-            claim=claim,
-            arms=(arm,),
-            setup=index,
-            radius=claim.radius,
-            sample=np.zeros(0, dtype=np.int64),
-            world=none,
-            points=none,
-            depth=np.zeros(0),
-            inside=none[..., 0] > 0.0,
-            labels=np.full(0, ""),
-            cuts=cuts,
-            fault=f"no program for arm {arm} in setup {index + 1}",
-        )
+        fault = f"no program for arm {arm} in setup {index + 1}"
+        return _lost(context, claim, index, np.zeros(0, dtype=np.int64), fault)
     ends = np.stack([claim.start, claim.end])
     seen = context.in_stock(index, rows, _placed(motion.tcp[arm][rows], ends))
     way = np.linalg.norm(np.diff(seen, axis=0), axis=2).max(axis=1, initial=0.0)
-    at = _chosen(context, rows, np.concatenate([[0.0], way]), STATION_SPACING)
+    at = _chosen(context, rows, np.concatenate([[0.0], way]))
     part = np.linspace(0.0, 1.0, ROD_SEGMENTS + 1)[:, None]
     world = _placed(motion.tcp[arm][at], claim.start * (1.0 - part) + claim.end * part)
     points = context.in_stock(index, at, world)
     depth, inside = depth_in(points, context.stock(index), claim.radius)
-    return Wire(
-        claim=claim,
-        arms=(arm,),
-        setup=index,
-        radius=claim.radius,
-        sample=at,
-        world=world,
-        points=points,
-        depth=depth,
-        inside=inside,
-        labels=motion.labels(at),
-        cuts=cuts,
-    )
+    place = at, world, points, depth, inside, motion.labels(at), _cuts(context, index, (arm,))
+    return Wire(claim, (arm,), index, claim.radius, *place)
 
 
 def _placed(poses: FloatArray, points: FloatArray) -> FloatArray:
@@ -231,14 +204,23 @@ def make_rod(claim: WireJoins) -> Rod:
     return Rod(claim.length, claim.ei_soft, claim.ei_stiff, claim.gj, claim.weight, ROD_SEGMENTS)
 
 
-def _lost(context: Context, phase: Phase, claim: WireJoins, at: IntArray, fault: str) -> Wire:
-    count = len(at)
-    none = np.zeros((count, ROD_SEGMENTS + 1, 3))
-    cuts = _cuts(context, phase.setup, claim.arms)
-    away = (np.full(count, -np.inf), none[..., 0] > 0.0, np.full(count, ""), cuts)
-    return Wire(
-        claim, claim.arms, phase.setup, 0.5 * claim.thickness, at, none, none, *away, fault=fault, phase=phase
-    )
+def _lost(
+    context: Context,
+    claim: WireJoins | StraightWire,
+    index: int,
+    at: IntArray,
+    fault: str,
+    phase: Phase | None = None,
+) -> Wire:
+    """A wire of setup ``index`` that cannot be followed at samples ``at`` (T,)."""
+    arms: tuple[str, ...]
+    if isinstance(claim, WireJoins):
+        arms, radius = claim.arms, 0.5 * claim.thickness
+    else:
+        arms, radius = (claim.arm,), claim.radius
+    none = np.zeros((len(at), ROD_SEGMENTS + 1, 3))
+    place = none, none, np.full(len(at), -np.inf), none[..., 0] > 0.0, np.full(len(at), "")
+    return Wire(claim, arms, index, radius, at, *place, _cuts(context, index, arms), fault, phase)
 
 
 def depth_in(points: FloatArray, stock: Stock, radius: float) -> tuple[FloatArray, BoolArray]:

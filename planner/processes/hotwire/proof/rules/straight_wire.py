@@ -24,7 +24,7 @@ from planner.processes.hotwire.claims import (
 from planner.processes.hotwire.proof.cut_surface import unreached
 from planner.processes.hotwire.proof.rules.cut_part import CUT_FACES
 from planner.processes.hotwire.proof.rules.wire import at_wire
-from planner.processes.hotwire.proof.slits import SLIT_ROUNDING, Slit, off_lead, slits, way_in
+from planner.processes.hotwire.proof.slits import SLIT_ROUNDING, Slit, off_lead, slits, way_at
 from planner.processes.hotwire.proof.wire_motion import WIRES, Wire, straight_claims
 from planner.proof.context import Context
 from planner.proof.findings import Findings, coordinates, in_mm
@@ -346,7 +346,7 @@ def _lead(findings: Findings, wires: tuple[Wire, ...], claim: LeadsFrom) -> None
     here = [wire for wire in wires if not wire.fault and wire.setup == setup]
     found = False
     for wire in here:
-        way = None if surface is None else way_in(context, wire, claim.segment, surface)
+        way = None if surface is None else way_at(context, wire, surface, "in")
         if way is None:
             continue
         found = True
