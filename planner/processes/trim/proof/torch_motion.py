@@ -126,11 +126,6 @@ class TrimWork:
         return self.claim.tolerance + self.sheet.tolerance + PLACE_ERROR
 
     @cached_property
-    def on(self) -> BoolArray:
-        """(T,) whether the arc burns."""
-        return self.burning.at(self.track.time)
-
-    @cached_property
     def other(self) -> SheetSide:
         """The sheet's other side."""
         return self._other()
