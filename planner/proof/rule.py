@@ -93,8 +93,9 @@ def mm(value: float) -> float:
 
 def issue(code: str, message: str, measure: Measure | None = None, **fields: Any) -> Issue:
     """An issue with what is measured; ``fields`` are others of its fields."""
-    value, limit, unit = measure or (None, None, None)
-    return Issue(code, message, value=value, limit=limit, unit=unit, **fields)
+    if measure is not None:
+        fields["value"], fields["limit"], fields["unit"] = measure
+    return Issue(code, message, **fields)
 
 
 def at_step(code: str, message: str, task: TaskText, step: Step | None, hint: str | None = None) -> Issue:

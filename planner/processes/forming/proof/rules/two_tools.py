@@ -411,7 +411,7 @@ def _conditions(findings: Findings, claim: FormsByTable, table: Wanted) -> None:
         held = table.conditions.get(name, "nan")
         if not abs(mm(value) - float(held)) <= TABLE_LENGTH_SHARE * float(held):
             what = f"the response table holds for {name} {held}, not for {mm(value):g}"
-            findings.add(what, field=str(claim.segment), value=mm(value), limit=float(held))
+            findings.add(what, (mm(value), float(held), None), field=str(claim.segment))
 
 
 def _passed(findings: Findings, way: Way, place: FloatArray) -> None:
@@ -437,7 +437,7 @@ def _passed(findings: Findings, way: Way, place: FloatArray) -> None:
         k = int(np.argmax(back - BACKWARD_LOOPS * step))
         what = f"{claim.segment} goes back to the inside by {mm(back[k]):.3f} mm of height"
         value, limit, _ = in_mm(back[k], BACKWARD_LOOPS * step[k])
-        findings.add(what, field=str(claim.segment), value=value, limit=limit)
+        findings.add(what, (value, limit, None), field=str(claim.segment))
     middle = points.mean(axis=0)
     arm, move = (place - middle)[:-1, :2], np.diff(place[:, :2], axis=0)
     area = claim.turning * (arm[:, 0] * move[:, 1] - arm[:, 1] * move[:, 0])

@@ -22,8 +22,9 @@ from planner.processes.forming.proof.tracks import pieces
 from planner.processes.trim.claims import TrimOutline, TrimsSheet
 from planner.processes.trim.proof.outlines import drawn, winding
 from planner.proof.context import Context
+from planner.proof.findings import in_mm
 from planner.proof.part_files import UnreadError
-from planner.proof.rule import Outcome, at_sample, mm, rule
+from planner.proof.rule import Outcome, at_sample, issue, mm, rule
 
 FORMING_HOLES = "verify.forming_holes"
 """Code of this rule."""
@@ -116,10 +117,9 @@ def _of_hole(
             if near < part.hole_margin - FACET:
                 what = (
                     f"{shape.claim.segment} moves the sheet {mm(near):.2f} mm off the edges of {name}, cut "
+                    f"before; wanted: {mm(part.hole_margin):g} mm"
                 )
-                what += f"before; wanted: {mm(part.hole_margin):g} mm"
-                value, limit = mm(near), mm(part.hole_margin)
-                issues.append(Issue(FORMING_HOLES, what, field=name, value=value, limit=limit, unit="mm"))
+                issues.append(issue(FORMING_HOLES, what, in_mm(near, part.hole_margin), field=name))
     passes = [one for one in forming.formed if one.setup == index and any(one.claim is c for c in group)]
     if len(passes) != sum(isinstance(claim, FormsSheet) for claim in group):
         issues.append(Issue(FORMING_HOLES, f"passes beside {name} are not all replayed", field=name))
@@ -160,7 +160,6 @@ def _tools_off(context: Context, part: FormsPart, one: Formed, hole: _Hole) -> t
         if near[k] < part.hole_margin - FACET:
             what = f"in {one.claim.segment} the tool of {arm} comes within {mm(float(near[k])):.2f} mm of "
             what += f"the edges of {hole.one.name}, which was cut before; wanted: {mm(part.hole_margin):g} mm"
-            measure = (mm(float(near[k])), mm(part.hole_margin), "mm")
-            row = int(track.rows[first[k]])
+            row, measure = int(track.rows[first[k]]), in_mm(near[k], part.hole_margin)
             issues.append(at_sample(FORMING_HOLES, what, context.motion, arm, row, measure))
     return float(least), issues
