@@ -356,12 +356,12 @@ def thickness_doubt(metal: SheetMetal, thickness: float) -> Issue | None:
     )
 
 
-def _sheet_metal(name: str, entry: dict[str, Any], own: dict[str, Any]) -> SheetMetal:
+def _sheet_metal(name: str, entry: dict[str, Any], values: dict[str, Any]) -> SheetMetal:
     def number(key: str) -> float:
-        return float(own[key]["value"])
+        return float(values[key]["value"])
 
     def pair(key: str) -> tuple[float, float]:
-        low, high = own[key]["value"]
+        low, high = values[key]["value"]
         return float(low), float(high)
 
     tensile, thickness = pair("tensile"), pair("thickness")
@@ -378,5 +378,5 @@ def _sheet_metal(name: str, entry: dict[str, Any], own: dict[str, Any]) -> Sheet
         wall_angle_single=number("wall_angle_single") * DEG,
         wall_angle_supported=number("wall_angle_supported") * DEG,
         thickness_range=(thickness[0] * MM, thickness[1] * MM),
-        sources={key: str(value["source"]) for key, value in own.items()},
+        sources={key: str(value["source"]) for key, value in values.items()},
     )

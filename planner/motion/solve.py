@@ -301,7 +301,7 @@ def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Work:
+class _PlacementSearch:
     """A stand of a problem with the collision ``models`` of its setups. ``at`` is set to the operation that
     is looked at or planned, ``tell`` says how far the plan is, ``executor`` runs independent work."""
 
@@ -412,7 +412,7 @@ def _settle(
     """A place and the plans of all operations of one stand."""
     stages = {}
     lap = time.perf_counter()
-    work = _Work(problem, stand, stand.models(), at, tell, executor)
+    work = _PlacementSearch(problem, stand, stand.models(), at, tell, executor)
     stages["cell"] = time.perf_counter() - lap
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
@@ -444,7 +444,7 @@ def _settle(
 
 
 def _plan(
-    work: _Work,
+    work: _PlacementSearch,
     place: Place,
     former: Former | None = None,
     fine: bool = True,
@@ -483,7 +483,7 @@ def _plan(
 
 
 def _first_that_works(
-    work: _Work, places: Sequence[Place], trace: Trace
+    work: _PlacementSearch, places: Sequence[Place], trace: Trace
 ) -> tuple[Place, list[OperationPlan]]:
     """The first place at which all operations have plans: of those that need no fine samples, which take
     long, else of all. While every other one is planned, the path at the next is looked for ahead, perhaps in
@@ -514,7 +514,7 @@ def _first_that_works(
     raise TandemError([_unplaced(trace, work.stand, tried, reasons), *reasons])
 
 
-def _looked_ahead(work: _Work, place: Place) -> Iterator[tuple[Grid, Found] | None] | None:
+def _looked_ahead(work: _PlacementSearch, place: Place) -> Iterator[tuple[Grid, Found] | None] | None:
     """Begins the search of a path for the first operation of a stand at a place, with the samples that are
     tried first; None where tools are aimed there, which the plan itself does."""
     _, job, scene = next(work.scenes(place))
@@ -527,7 +527,7 @@ def _coarse_path(scene: Scene, targets: Targets) -> Iterator[tuple[Grid, Found] 
     yield None if isinstance(found, Blocked) or found.loose else (grid, found)
 
 
-def _require_home(work: _Work) -> None:
+def _require_home(work: _PlacementSearch) -> None:
     """Bases that are inside of one another, and homes that are not free, wherever the stock is need no search
     for its place."""
     away = from_parts(np.eye(3), np.array([AWAY_M, AWAY_M, AWAY_M]))  # so is what it stands on
@@ -548,7 +548,7 @@ def _look(
 ) -> tuple[Place | None, list[Issue]]:
     """A place at which every operation of a stand has a path, or the targets of a ``first`` look a posture;
     or why there is none."""
-    work = _Work(problem, stand, stand.models(), at, _silent)
+    work = _PlacementSearch(problem, stand, stand.models(), at, _silent)
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
         reasons = _inside(work) or _no_path(work, place, first)
@@ -582,14 +582,14 @@ def first_place(
 ) -> Place | None:
     """One of the first places of a block at which the targets of a ``first`` look have postures; None where
     none of them will do. ``at`` is set to the operation that was looked at."""
-    work = _Work(problem, stand, models, at, _silent)
+    work = _PlacementSearch(problem, stand, models, at, _silent)
     for place in work.search().soon(stand.each(models)):
         if not _no_path(work, place, first):
             return place
     return None
 
 
-def _inside(work: _Work) -> list[Issue]:
+def _inside(work: _PlacementSearch) -> list[Issue]:
     """``motion.overlap`` for bodies that are inside of one another where all stands as it is stated, with
     homes that are not free; these say nothing as long as bases are inside of one another."""
     out: list[Issue] = []
@@ -673,7 +673,7 @@ def _in_mm(move: FloatArray) -> tuple[float, float, float]:
 
 
 def _no_path(
-    work: _Work, place: Place, first: FirstLook | None = None, paths: _Paths | None = None
+    work: _PlacementSearch, place: Place, first: FirstLook | None = None, paths: _Paths | None = None
 ) -> list[Issue]:
     """Why operations have no path, or targets of a ``first`` look no posture, or no free home; ``at`` is set
     to the first of them. ``paths`` gets those that are found."""
@@ -697,7 +697,7 @@ def _no_path(
     return out
 
 
-def _has_coarse_path(work: _Work, place: Place) -> bool:
+def _has_coarse_path(work: _PlacementSearch, place: Place) -> bool:
     """Whether all operations of a stand have free homes and paths at a place, without fine samples."""
     for _, job, scene in work.scenes(place):
         try:
@@ -711,7 +711,7 @@ def _has_coarse_path(work: _Work, place: Place) -> bool:
 
 
 def _tried(
-    work: _Work, places: Sequence[Place], trace: Trace
+    work: _PlacementSearch, places: Sequence[Place], trace: Trace
 ) -> tuple[Sequence[Place], list[Issue], _Paths | None]:
     """The places to try. The search looks at few postures of a target: where it finds no place, the first of
     its freest that has a path after all is tried, with the paths of its operations; if none has, what is in

@@ -251,7 +251,9 @@ def stationed(
         going = [axes[name] for name in axes if name in (*own.arms, STOCK)]  # as programs move them
         found = _Stood(at, own)
         if going:
-            found = _placed(_Work(problem.stationed({**out, index: at}), index, own, at, passes), going)
+            found = _placed(
+                _StationSearch(problem.stationed({**out, index: at}), index, own, at, passes), going
+            )
         gone = {name: float(values[-1]) for name, values in found.targets.ride.items()}
         out[index] = {**found.at, **{f"{name}{END}": value for name, value in gone.items()}}
         at = {**found.at, **gone}
@@ -314,7 +316,7 @@ def _homes(setup: Setup) -> dict[str, FloatArray]:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Work:
+class _StationSearch:
     """The operation at ``index`` of a problem, with its ``targets``, before which axes go one after the other
     to their places; all stand ``at`` theirs meanwhile."""
 
@@ -328,7 +330,7 @@ class _Work:
         """The setup of the operation."""
         return self.problem.setup_of(self.index)
 
-    def stood(self, at: Mapping[str, float]) -> _Work:
+    def stood(self, at: Mapping[str, float]) -> _StationSearch:
         """The same work with all axes ``at`` other places."""
         problem = self.problem.stationed({**self.problem.stations, self.index: at})
         return dataclasses.replace(self, problem=problem, at=at)
@@ -349,7 +351,7 @@ class _Stood:
     targets: Targets
 
 
-def _placed(work: _Work, axes: Sequence[_Axis]) -> _Stood:
+def _placed(work: _StationSearch, axes: Sequence[_Axis]) -> _Stood:
     """Where ``axes``, which go there one after the other, have a path of the operation; raises
     ``TandemError`` where there is none. Each is judged by the arms that are placed by then, and by whether
     those behind it have places, too."""
@@ -358,7 +360,7 @@ def _placed(work: _Work, axes: Sequence[_Axis]) -> _Stood:
     return (_followed if follows else _station)(work, axis, rest)
 
 
-def _station(work: _Work, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
+def _station(work: _StationSearch, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
     problem, index, targets = work.problem, work.index, work.targets
     setup = work.setup()
     grid = axis.values()
@@ -389,7 +391,9 @@ def _station(work: _Work, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
     raise TandemError(_nowhere(work, axis, grid, score, tried, first))
 
 
-def _try(work: _Work, axis: _Axis, rest: Sequence[_Axis], value: Mapping[str, float]) -> _Stood | Issue | str:
+def _try(
+    work: _StationSearch, axis: _Axis, rest: Sequence[_Axis], value: Mapping[str, float]
+) -> _Stood | Issue | str:
     """Where axes stand with ``axis`` at a value; else what comes too near on its way there, why there is no
     place for the ``rest``, or that there is no path."""
     if any(value[name] != work.at[name] for name in axis.names) and work.passes is None:
@@ -414,7 +418,7 @@ def _judged(targets: Targets, rest: Sequence[_Axis]) -> tuple[str, ...]:
     return tuple(arm for arm in targets.arms if all(axis.name != arm for axis in rest))
 
 
-def _followed(work: _Work, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
+def _followed(work: _StationSearch, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
     """The values of a track that goes along in an operation, with which there is a way to the first one and a
     path."""
     problem, index, targets = work.problem, work.index, work.targets
@@ -467,7 +471,7 @@ def _followed(work: _Work, axis: _Axis, rest: Sequence[_Axis]) -> _Stood:
     raise TandemError(Issue("motion.station", what, arm=axis.name, hint=hint, field=f"operations.{index}"))
 
 
-def _base_fault(work: _Work, axis: _Axis, at: Mapping[str, float], values: FloatArray) -> str:
+def _base_fault(work: _StationSearch, axis: _Axis, at: Mapping[str, float], values: FloatArray) -> str:
     """What the base itself comes too near to while it goes along with ``values`` (N,) [m]; the rest of the
     arm is looked at as it works."""
     low, high = float(values.min()), float(values.max())
@@ -542,7 +546,7 @@ def _in_the_way(scene: Scene, targets: Targets) -> str:
 
 
 def _nowhere(
-    work: _Work,
+    work: _StationSearch,
     axis: _Axis,
     grid: FloatArray,
     score: FloatArray,

@@ -375,13 +375,13 @@ def read_as(model: type[_Schema], path: Path, code: str) -> _Schema:
     and what `read` raises."""
     document = read(path)
 
-    def wrong(what: str, got: object, place: tuple[str | int, ...]) -> Issue:
+    def wrong(what: str, got: object, path_in_file: tuple[str | int, ...]) -> Issue:
         return Issue(
             code,
             f"{what}; got {got!r:.80}",
             file=str(document.path),
-            line=document.line(place),
-            field=".".join(map(str, place)),
+            line=document.line(path_in_file),
+            field=".".join(map(str, path_in_file)),
             hint="correct it, in the units of the field's name",
         )
 

@@ -43,8 +43,8 @@ def test_a_tree_finds_the_way_around_a_wall_and_twice_the_same() -> None:
     assert np.array_equal(ways[0][-1], ends[1])
 
 
-def way_free(way: np.ndarray, free: Free, step: float, sure: Sure | None = None) -> bool:
-    return not len(blocked_places(way, free, step, sure, every=False).move)
+def way_free(path: np.ndarray, free: Free, step: float, sure: Sure | None = None) -> bool:
+    return not len(blocked_places(path, free, step, sure, every=False).move)
 
 
 def test_a_thin_wall_between_two_looks_is_seen_by_the_last_look() -> None:

@@ -371,10 +371,10 @@ _SECOND_KEY = re.compile(
 """The other soft key: of a second answer, or empty."""
 
 
-def _foot(line: int, found: Found, text: str, ridden: bool) -> syntax_tree.Statement:
-    rows = len(_RIDDEN_VALUES) if ridden else len(_FOOT_VALUES)
+def _foot(line: int, found: Found, text: str, moving: bool) -> syntax_tree.Statement:
+    rows = len(_RIDDEN_VALUES) if moving else len(_FOOT_VALUES)
     along: tuple[tuple[int, tuple[float, float, float]], ...] = ()
-    if ridden:
+    if moving:
         behind = rows + (2 + len(_FOOT_MESSAGE) if text else 2)
         first, again = (_along(found[k : k + 3]) for k in (0, behind))
         if first != again:
@@ -401,7 +401,7 @@ def _along(rows: Found) -> tuple[tuple[int, tuple[float, float, float]], ...]:
     return tuple(zip(columns[0], ((x, y, z) for x, y, z in ways), strict=True))
 
 
-def _foot_forms(what: str, values: tuple[re.Pattern[str], ...], ridden: bool = False) -> tuple[Form, Form]:
+def _foot_forms(what: str, values: tuple[re.Pattern[str], ...], moving: bool = False) -> tuple[Form, Form]:
     """The look at the foot that shows nothing, and the one that shows how far it is off."""
     head, silent, shown = _rows(_FOOT_LOOP), _rows("HALT"), _rows(*_FOOT_MESSAGE, "HALT")
     text = len(values) + len(head) + _FOOT_MESSAGE.index(_MESSAGE)
@@ -409,12 +409,12 @@ def _foot_forms(what: str, values: tuple[re.Pattern[str], ...], ridden: bool = F
         Form(
             what,
             (*values, *head, *silent, *values, *_rows("ENDWHILE")),
-            lambda line, found: _foot(line, found, "", ridden),
+            lambda line, found: _foot(line, found, "", moving),
         ),
         Form(
             what,
             (*values, *head, *shown, *values, *_rows("ENDWHILE", *_AFTER)),
-            lambda line, found: _foot(line, found, found[text][1], ridden),
+            lambda line, found: _foot(line, found, found[text][1], moving),
         ),
     )
 
@@ -492,7 +492,7 @@ PANEL_FORMS: tuple[Form, ...] = (
         lambda line, _: syntax_tree.Cleared(line),
     ),
     *_foot_forms("the look at $ROBROOT", _rows(*_FOOT_VALUES)),
-    *_foot_forms("the look at $ROBROOT_C", _RIDDEN_VALUES, ridden=True),
+    *_foot_forms("the look at $ROBROOT_C", _RIDDEN_VALUES, moving=True),
 )
 """All forms; of those that begin alike the one counts that goes on as the text does."""
 

@@ -28,7 +28,7 @@ from planner.processes.trim.plan.face import Face, lay
 from planner.processes.trim.plan.operation import OutlineFile
 from planner.processes.trim.plan.slots import Wanted
 from planner.processes.trim.proof import outlines
-from planner.processes.trim.proof.rules.mill import Slot, _beside, trim_mill, trim_spindle
+from planner.processes.trim.proof.rules.mill import MeasuredCut, _beside, trim_mill, trim_spindle
 from planner.processes.trim.proof.rules.slots import trim_cut
 from planner.processes.trim.proof.torch_motion import TRIMMING, Trimming
 from planner.proof.context import Context
@@ -263,10 +263,10 @@ def test_the_proof_finds_a_cutter_that_is_too_thick_for_its_slot(job: Job) -> No
     assert way is not None
     curve = work.slots["trim/round"]
     findings = Findings("verify.trim_mill", context)
-    _beside(Slot(findings, work, "trim/round", way), curve, own)
+    _beside(MeasuredCut(findings, work, "trim/round", way), curve, own)
     assert not findings.issues
     thick = dataclasses.replace(own, cutter=dataclasses.replace(own.cutter, radius=2.0e-3))
-    _beside(Slot(findings, work, "trim/round", way), curve, thick)
+    _beside(MeasuredCut(findings, work, "trim/round", way), curve, thick)
     assert {one.code for one in findings.issues} == {"verify.trim_mill"}
 
 
@@ -402,7 +402,7 @@ def test_a_long_slot_is_looked_at_as_closely_as_a_short_one(job: Job) -> None:
     out = curve.ring[np.argmin(np.linalg.norm(curve.ring - way.feet.foot[k % len(way.tip)], axis=1))]
     long["tip"][k] += 1.5 * (out - way.feet.foot[k % len(way.tip)])
     findings = Findings("verify.trim_mill", context)
-    _beside(Slot(findings, work, "trim/wall", dataclasses.replace(way, **long)), curve, own)
+    _beside(MeasuredCut(findings, work, "trim/wall", dataclasses.replace(way, **long)), curve, own)
     assert {issue.code for issue in findings.issues} == {"verify.trim_mill"}
 
 

@@ -230,9 +230,9 @@ def _whole(made: PartShapes) -> tuple[float, list[Issue]]:
     return float(off[k]), [*issues, *_edge_off(made, FACE_ERROR)]
 
 
-def _side(made: PartShapes, feature: Feature) -> Iterator[Issue]:
+def _side(shapes: PartShapes, feature: Feature) -> Iterator[Issue]:
     """Whether the tool on the right side forms a feature, whose wall goes one way, and ends where it says."""
-    part = made.part
+    part = shapes.part
     for shape in feature.shapes:
         for claim in shape.claims:
             arm = claim.arm if isinstance(claim, FormsSheet) else claim.arms[0]

@@ -12,7 +12,14 @@ from planner.claims.segments import Segment
 from planner.processes.trim.claims import TrimBlade, TrimsSheet
 from planner.processes.trim.proof.blade_motion import blade_way
 from planner.processes.trim.proof.outlines import TRIM
-from planner.processes.trim.proof.rules.mill import Slot, depth, goes_down, leans, leaves, straight_down
+from planner.processes.trim.proof.rules.mill import (
+    MeasuredCut,
+    depth,
+    goes_down,
+    leans,
+    leaves,
+    straight_down,
+)
 from planner.processes.trim.proof.rules.slots import ANGLE_ERROR, ISSUES_SHOWN, NOTHING_TRIMMED, every
 from planner.processes.trim.proof.torch_motion import PLACE_ERROR, TRIMMING
 from planner.proof.context import Context
@@ -36,7 +43,7 @@ def trim_knife(context: Context) -> Outcome:
         if own is None:
             continue
         gone = np.linalg.norm(way.feet.foot - way.feet.foot[:1], axis=1) > work.claim.tolerance
-        slot = Slot(findings, work, key, way)
+        slot = MeasuredCut(findings, work, key, way)
         straight_down(slot)
         depth(slot, gone)
         leans(slot)
@@ -48,7 +55,7 @@ def trim_knife(context: Context) -> Outcome:
     return findings.outcome(percent, "% of what is allowed", 1.0, nothing=NOTHING_TRIMMED)
 
 
-def _stands(slot: Slot, own: TrimBlade) -> None:
+def _stands(slot: MeasuredCut, own: TrimBlade) -> None:
     """Along its curve, wherever its tip is behind the face."""
     blade = blade_way(slot.work, own, slot.key)
     turned = np.where(blade.deep > PLACE_ERROR, blade.off_heading(), 0.0)
@@ -61,7 +68,7 @@ def _stands(slot: Slot, own: TrimBlade) -> None:
     slot.share(share.max())
 
 
-def _backwards(slot: Slot, own: TrimBlade) -> None:
+def _backwards(slot: MeasuredCut, own: TrimBlade) -> None:
     """Whether it goes on with its edge ahead."""
     blade = blade_way(slot.work, own, slot.key)
     step = np.diff(blade.feet.foot, axis=0)
@@ -72,7 +79,7 @@ def _backwards(slot: Slot, own: TrimBlade) -> None:
         slot.add(what, blade.rows[k + 1])
 
 
-def _turns(slot: Slot, own: TrimBlade) -> None:
+def _turns(slot: MeasuredCut, own: TrimBlade) -> None:
     """On its way out it is not turned until it is over the sheet."""
     work = slot.work
     track = work.of_slot(Segment(TRIM, slot.key.split("/", 1)[1]).at("out").key)

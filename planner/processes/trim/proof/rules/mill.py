@@ -56,7 +56,7 @@ def trim_mill(context: Context) -> Outcome:
         own = work.claim.mill
         if own is None:
             continue
-        slot = Slot(findings, work, key, way)
+        slot = MeasuredCut(findings, work, key, way)
         depth(slot, way.off <= 0.5 * work.claim.kerf + work.near)
         leans(slot)
         _entry(slot, own)
@@ -67,7 +67,7 @@ def trim_mill(context: Context) -> Outcome:
 
 
 @dataclasses.dataclass(frozen=True)
-class Slot:
+class MeasuredCut:
     """The slot ``key`` that a tool cuts on its ``way``, and what a rule finds in it."""
 
     findings: Findings
@@ -88,7 +88,7 @@ def _word(work: TrimWork) -> str:
     return "cutter" if work.claim.knife is None else "knife"
 
 
-def depth(slot: Slot, cuts: BoolArray) -> None:
+def depth(slot: MeasuredCut, cuts: BoolArray) -> None:
     """Where it ``cuts`` (N,), through the far face by what is wanted at least, and nowhere deeper than a
     sheet of its whole thickness wants it."""
     work, way, claim, own = slot.work, slot.way, slot.work.claim, slot.work.claim.through
@@ -107,7 +107,7 @@ def depth(slot: Slot, cuts: BoolArray) -> None:
     slot.share(max(high.max(), low.max()))
 
 
-def leans(slot: Slot) -> None:
+def leans(slot: MeasuredCut) -> None:
     """No farther off the sheet's normal than its cone."""
     work, way = slot.work, slot.way
     lean = np.arccos(np.clip((way.axis * way.feet.normal).sum(axis=1), -1.0, 1.0))
@@ -118,7 +118,7 @@ def leans(slot: Slot) -> None:
     slot.share(share.max())
 
 
-def _entry(slot: Slot, own: TrimCutter) -> None:
+def _entry(slot: MeasuredCut, own: TrimCutter) -> None:
     """It begins over the sheet, in the waste, off all curves, and goes down no faster than it may; a ramp
     ends before the outline."""
     work, claim = slot.work, slot.work.claim
@@ -138,7 +138,7 @@ def _entry(slot: Slot, own: TrimCutter) -> None:
         straight_down(slot)
 
 
-def goes_down(slot: Slot) -> None:
+def goes_down(slot: MeasuredCut) -> None:
     """It begins over the sheet, and goes down no faster than it may."""
     work, way, claim, own = slot.work, slot.way, slot.work.claim, slot.work.claim.through
     if own is None:
@@ -171,7 +171,7 @@ def goes_down(slot: Slot) -> None:
     slot.share(share)
 
 
-def straight_down(slot: Slot) -> None:
+def straight_down(slot: MeasuredCut) -> None:
     """It goes nowhere before it is through the sheet."""
     way, claim = slot.way, slot.work.claim
     gone = np.linalg.norm(way.feet.foot - way.feet.foot[:1], axis=1)
@@ -181,7 +181,7 @@ def straight_down(slot: Slot) -> None:
         slot.add(what, way.rows[k])
 
 
-def leaves(slot: Slot) -> None:
+def leaves(slot: MeasuredCut) -> None:
     """On the way in the tool is over the sheet, and the way out is along its axis until it is."""
     work, claim, through, worst = slot.work, slot.work.claim, slot.work.claim.through, 0.0
     if through is None:
@@ -209,7 +209,7 @@ def leaves(slot: Slot) -> None:
     slot.share(worst)
 
 
-def _beside(slot: Slot, curve: Curve, own: TrimCutter) -> None:
+def _beside(slot: MeasuredCut, curve: Curve, own: TrimCutter) -> None:
     """What of the part is in the flute where the sheet is bent: on both faces, farther from the outline than
     its edge may be. The far face is the near one moved along z, so that its edge is off by the thickness."""
     work, way, claim, cutter = slot.work, slot.way, slot.work.claim, own.cutter
