@@ -66,19 +66,22 @@ class Findings:
     # ---- the worst value ----
 
     def highest(self, value: float, where: object = "", limit: float | None = None) -> None:
-        """Note a value, if it is higher than the worst one so far."""
-        if value > self.worst:
+        """Note a value if it is higher than the worst one so far. NaN counts as the worst of all."""
+        if value > self.worst or np.isnan(value):
             self._note(value, where, limit)
 
     def lowest(self, value: float, where: object = "", limit: float | None = None) -> None:
-        """Note a value, if it is lower than the worst one so far."""
-        if value < self.worst:
+        """Note a value if it is lower than the worst one so far. NaN counts as the worst of all."""
+        if value < self.worst or np.isnan(value):
             self._note(value, where, limit)
 
     def beyond(self, values: FloatArray | float, limit: float, where: object) -> None:
-        """Note the highest of some values, if it is farther beyond its limit than the worst one so far."""
+        """Note the highest of some values if it exceeds its limit by more than the worst one so far.
+
+        NaN counts as the worst of all.
+        """
         value = float(np.max(values))
-        if value - limit > self.excess:
+        if value - limit > self.excess or np.isnan(value):
             self.excess = value - limit
             self._note(self.excess + limit, where, limit)
 
