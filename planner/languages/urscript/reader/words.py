@@ -62,9 +62,9 @@ def _fixed(code: str) -> tuple[tuple[Word, str], ...]:
     """Words that have to stand as they are, and what faults call them: "" for themselves in quotes."""
     out: list[tuple[Word, str]] = []
     words = _words(code)
-    for word, behind in zip(words, [*words[1:], None], strict=True):
+    for index, word in enumerate(words):
         what = word.text if word.kind == "number" else ""
-        if word.kind == "name" and behind == Word("sign", "="):
+        if word.kind == "name" and words[index + 1 : index + 2] == (Word("sign", "="),):
             what = f"the parameter {word.text}="
         out.append((word, what))
     return tuple(out)

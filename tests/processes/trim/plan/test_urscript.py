@@ -323,6 +323,14 @@ def test_a_long_pierce_is_no_slow_cut(job: Job) -> None:
     assert job.issues_of("verify.trim_feed", {FILE: long}) == []
 
 
+def test_a_torch_without_an_input_is_proven(tmp_path: Path) -> None:
+    """Nothing reports that it burns: the thread watches only whether it stands."""
+    job = Job(tmp_path, outlines=[OUTLINES[0]], ok_signal=None, **of_ur(tmp_path))
+    assert THREAD.search(job.programs[FILE]) and "arc_lost" not in job.programs[FILE]
+    proof = job.prove(job.programs, None)
+    assert proof.ok, [str(issue) for issue in proof.issues]
+
+
 def test_two_operations_cut_with_one_torch(tmp_path: Path) -> None:
     """Each has its own feed, so its own thread; each rule holds each of them against what it is to do."""
     whole = data(outlines=[{"name": "a", "circle": {"at_mm": [-8, 0], "diameter_mm": 12}}], **of_ur(tmp_path))
