@@ -277,7 +277,7 @@ def test_every_other_place_is_looked_at_ahead_and_known_then(
     monkeypatch.setattr(solve_module, "_plan", plan)
     made = solve(job, [targets], executor=Recorder())
     stand = setup_groups(job, [targets])[0]
-    work = solve_module._Work(job, stand, stand.models(), [0], lambda *_: None)
+    work = solve_module._PlacementSearch(job, stand, stand.models(), [0], lambda *_: None)
     places, _ = work.search().run(stand.each(work.models))
     assert [place.number for place in tried] == [places[k].number for k in planned]
     assert len(begun) == (1 if coarse else 2)
@@ -456,7 +456,7 @@ def test_homes_are_judged_without_what_the_block_will_stand_on(targets: Targets)
     job = problem(two_arms(1.8), targets, None)
     job = dataclasses.replace(job, stock=dataclasses.replace(job.stock, pedestal=PEDESTAL))
     (stand,) = setup_groups(job, [targets])
-    _require_home(solve_module._Work(job, stand, stand.models(), [0], lambda *_: None))
+    _require_home(solve_module._PlacementSearch(job, stand, stand.models(), [0], lambda *_: None))
     assert stand.models()[0].stock.pedestal is PEDESTAL
 
 
