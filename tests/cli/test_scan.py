@@ -161,6 +161,7 @@ def mirrored(data: dict[str, Any]) -> None:
     data["scan"]["pose"][0] = [-v for v in data["scan"]["pose"][0]]
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("change", "named"),
     [

@@ -140,6 +140,7 @@ def test_the_farthest_place_off_the_surface_is_that_of_the_analytic_dome() -> No
     assert 0.5 * shell("dome").check.off_surface.max() < worst < 0.025
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", ["dome", "saddle", "cylinder"])
 def test_solids_are_disjoint_and_fill_their_union(name: str) -> None:
     bodies = manifolds(shell(name).panels)

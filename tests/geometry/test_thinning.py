@@ -21,6 +21,7 @@ def drum() -> Mesh:
     return Mesh(np.asarray(made.vertices), np.asarray(made.faces))
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("edges", [False, True])
 def test_no_vertex_is_farther_than_the_diagonal_from_the_one_that_stands_for_it(edges: bool) -> None:
     fine = drum()

@@ -249,6 +249,7 @@ def test_fewer_loops_of_a_formed_sheet_are_as_true_as_all_and_kept_for_first_loo
     )  # the whole ones, once they are there
 
 
+@pytest.mark.long
 def test_what_is_kept_of_a_mesh_is_never_that_of_another_edit(tmp_path: Path) -> None:
     """One store over all edits, in first looks and whole ones: targets and solids are those made without."""
     data, part = small_forming.problem(strategy="virgin"), small_forming.dish()

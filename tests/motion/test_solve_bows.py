@@ -98,6 +98,7 @@ def test_a_wire_may_pass_the_foam_in_cuts_only() -> None:
     assert scene.passing == frozenset({frozenset(("left/edge", "stock"))})
 
 
+@pytest.mark.long
 def test_two_arms_share_the_motion_and_the_place_is_found() -> None:
     cell, stock, targets = held(70)
     plan = solve(job(cell, stock, targets), [targets])

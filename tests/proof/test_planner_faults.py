@@ -77,6 +77,7 @@ def test_the_sample_has_every_process_mode_and_language(tmp_path: Path) -> None:
     assert languages >= {"krc4", "handshake", "rapid", "urscript"}
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("name", SAMPLE)
 def test_a_planner_with_a_fault_gets_nothing_proven(name: str, tmp_path: Path) -> None:
     fault = FAULTS[name]

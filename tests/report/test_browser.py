@@ -115,6 +115,7 @@ def with_a_released_sheet(plan: Plan) -> Plan:
     return dataclasses.replace(plan, operations=(dataclasses.replace(own, targets=targets),))
 
 
+@pytest.mark.long
 def test_the_replay_draws_a_released_sheet_in_the_colour_of_its_key(tmp_path: Path) -> None:
     plan = job.plan()
     shares = []

@@ -308,6 +308,7 @@ def test_where_visuals_lie_may_be_stated(tmp_path: Path) -> None:
     assert len(problem.cell.arms[0].data.file.looks[6]) == 1
 
 
+@pytest.mark.long
 def test_a_million_triangles_stay_within_the_size(own: Any, tmp_path: Path) -> None:
     """A ring of 500 mm on link 3: every point of it has a vertex near by that is shown, and none is beside
     it, by the diagonal of a cell of 10 mm."""

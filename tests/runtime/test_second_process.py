@@ -127,6 +127,7 @@ def test_a_process_that_is_killed_is_not_missed() -> None:
         assert [list(call) for call in calls] == [["here"]] * 3
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("settings", [{}, {"clearance": 0.3}])
 @pytest.mark.parametrize("job", [small_job, straight_job])
 def test_the_proof_is_the_same(second: Recorder, job: ModuleType, settings: dict[str, float]) -> None:
@@ -240,6 +241,7 @@ def sleeps() -> Iterator[object]:
     yield None
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_it_ends_with_its_parent(number: signal.Signals) -> None:
     parent = subprocess.Popen(

@@ -236,6 +236,7 @@ def lossy(to: str, lost: int, between: Any = None) -> Iterator[tuple[Lossy, str]
         server.server_close()
 
 
+@pytest.mark.long
 def test_the_client_sends_again_what_was_lost_also_over_a_kill(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -43,6 +43,7 @@ def ended(client: Client, jobs: list[str], timeout_s: float) -> list[dict[str, o
     raise TimeoutError(str(Counter(job["state"] for job in found)))
 
 
+@pytest.mark.sampled(every=2)
 def test_jobs_survive_kills_while_they_come_in_and_are_planned(tmp_path: Path, database: str) -> None:
     """Two threads send jobs all the while; one that was told of a job finds it in the end."""
     data, moments, accepted = tmp_path / "data", random.Random(11), []

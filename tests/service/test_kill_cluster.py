@@ -117,6 +117,7 @@ def workshop(tmp_path: Path) -> Iterator[Workshop]:
     made.close()
 
 
+@pytest.mark.long
 def test_a_server_and_a_worker_of_the_cluster_are_killed(workshop: Workshop) -> None:
     count = 8
     with ThreadPoolExecutor(1) as pool:

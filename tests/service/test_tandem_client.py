@@ -65,6 +65,7 @@ def interpreter(version: str) -> str | None:
     return None
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("version", ["3.9", "3.13"])
 def test_a_round_trip_by_another_python(served: tuple[Process, str], version: str) -> None:
     """Without site-packages, so with nothing but the standard library, and with no warning."""

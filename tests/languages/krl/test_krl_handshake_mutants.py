@@ -140,6 +140,7 @@ def _put_in_every_row(kind, every, edits):
     return tried, passed
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(("kind", "every"), FORMS)
 def test_every_fault_in_every_statement_is_caught(kind, every):
     tried, passed = _put_in_every_row(kind, every, faults)
@@ -147,6 +148,7 @@ def test_every_fault_in_every_statement_is_caught(kind, every):
     assert passed == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "every"), [pytest.param(*FORMS[0], marks=pytest.mark.long), *FORMS[1:]])
 def test_every_fault_in_what_the_panel_says_while_a_program_waits_is_caught(kind, every):
     tried, passed = _put_in_every_row(kind, every, panel_faults)

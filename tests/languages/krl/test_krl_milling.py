@@ -58,6 +58,7 @@ def test_the_clean_job_is_proven(wall: Job) -> None:
     assert proof.ok, proof.issues
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_caught_by_their_rule(wall: Job, fault: str) -> None:
     code, file, old, new = FAULTS[fault]

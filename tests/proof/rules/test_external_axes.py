@@ -156,6 +156,7 @@ MUTANTS = {
 }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_wrong_track_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]

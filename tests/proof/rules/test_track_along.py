@@ -206,6 +206,7 @@ MUTANTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
 }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_track_that_goes_along_otherwise_is_refused(prover: Prover, name: str) -> None:
     word, said, change = MUTANTS[name]

@@ -165,6 +165,7 @@ def broken(outcome: Outcome, change: Any) -> dict[str, str]:
     return bad
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_wrong_turntable_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]

@@ -168,6 +168,7 @@ PAGES: Final = (
 )
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", PAGES)
 def test_nothing_is_cut_off_and_every_control_has_a_name(
     page: Page, served: dict[str, str], name: str
@@ -195,6 +196,7 @@ def test_what_is_cut_off_or_nameless_is_found(page: Page, served: dict[str, str]
     assert page.evaluate(NAMELESS) == ["<button></button>"]
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.skipif(not AXE, reason="TANDEM_AXE names no axe.min.js: npm pack axe-core")
 @pytest.mark.parametrize("looks", [LOOKS[:1] + LOOKS[-1:], pytest.param(LOOKS[1:-1], marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", PAGES)

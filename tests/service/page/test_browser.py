@@ -357,6 +357,7 @@ def test_colours_are_switched_and_remembered(page: Page, server: str) -> None:
     assert page.evaluate(colour) == dark
 
 
+@pytest.mark.long
 def test_a_job_goes_on_when_the_service_is_killed_and_started_again(
     page: Page, tmp_path: Path, small: list[Path]
 ) -> None:

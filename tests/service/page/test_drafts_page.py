@@ -122,6 +122,7 @@ def test_a_title_goes_with_the_name_until_somebody_gives_another(page: Page, ser
     assert asked(server, f"/v1/drafts/{draft}")["title"] == "Flügel"
 
 
+@pytest.mark.long
 def test_a_draft_that_was_sent_is_no_unsent_work(page: Page, server: str) -> None:
     """Also where it was not kept yet when it was sent."""
     begun(page, server)

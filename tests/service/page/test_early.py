@@ -51,6 +51,7 @@ def holding(page: Page, address: re.Pattern[str]) -> Iterator[None]:
         route.continue_()
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", PAGES)
 def test_nothing_takes_a_click_before_its_script_is_there(
     page: Page, server: str, job: str, name: str

@@ -24,6 +24,7 @@ def held(tmp_path: Path) -> Iterator[Process]:
     process.stop()
 
 
+@pytest.mark.long
 def test_places_the_front_what_is_left_and_again(page: Page, held: Process, tmp_path: Path) -> None:
     client, ids = planner.Client(held.url), {}
     for name in ("one", "two", "three", "four"):
@@ -59,6 +60,7 @@ def test_places_the_front_what_is_left_and_again(page: Page, held: Process, tmp_
     expect(page.locator("#estimate")).to_contain_text(re.compile("left, an estimate by|longer than the"))
 
 
+@pytest.mark.long
 def test_a_field_is_swept_on_the_page(page: Page, held: Process, small: list[Path]) -> None:
     page.goto(f"{held.url}/ui/new")
     page.get_by_text("Sheet forming").wait_for()

@@ -174,6 +174,7 @@ def test_two_points_are_measured(page: Page, files: Path) -> None:
     expect(page.locator("#measured")).to_be_empty()
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("wide", [390, 820, 1440])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_nothing_is_cut_off_and_every_control_has_a_name(

@@ -190,6 +190,7 @@ NOWHERE = {"base_frame_pos_x": "nan", "base_frame_pos_y": "0", "base_frame_pos_z
 }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("body", "parts"),
     [

@@ -257,6 +257,7 @@ def refused(prover: Prover, programs: dict[str, str], word: str) -> None:
     assert f"verify.{word}" in {issue.code for issue in proof.issues}, [str(i) for i in proof.issues]
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", TRACK)
 def test_a_wrong_track_is_refused(tracked: Prover, name: str) -> None:
     word, change = TRACK[name]
@@ -264,6 +265,7 @@ def test_a_wrong_track_is_refused(tracked: Prover, name: str) -> None:
     refused(tracked, broken(out.programs, lambda text: change(text, station(out))), word)
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", TABLE)
 def test_a_wrong_turntable_is_refused(turned: Prover, name: str) -> None:
     word, change = TABLE[name]

@@ -244,6 +244,7 @@ def some(names: Iterable[str]) -> list[Any]:
     ]
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", some(MUTANTS))
 def test_a_wrong_positioner_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]

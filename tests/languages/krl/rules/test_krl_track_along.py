@@ -152,6 +152,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
 }
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_track_that_goes_along_otherwise_is_refused(prover: Prover, name: str) -> None:
     word, change = MUTANTS[name]

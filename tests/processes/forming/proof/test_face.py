@@ -61,6 +61,7 @@ def test_a_face_that_is_wide_enough_is_left_as_it_is() -> None:
     assert left_by(face, BALL, 1, 0.0) is face
 
 
+@pytest.mark.long
 def test_what_is_left_in_a_sharp_corner_is_a_fillet_of_the_ball() -> None:
     angle, ball = 65.0, 0.002
     mesh = cone(angle, 0.004, 0.01, 120)

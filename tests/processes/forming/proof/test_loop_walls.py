@@ -160,6 +160,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return stated(folder, springback={"file": "back.json"})
 
 
+@pytest.mark.long
 def test_a_planner_that_makes_walls_too_steep_is_caught_by_this_alone(path: Path) -> None:
     with planner_faults.changed({**planner_faults.CHECKS, **planner_faults.SOONER}):
         outcome = planner.plan(planner.load(path))

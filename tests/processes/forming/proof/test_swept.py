@@ -19,6 +19,7 @@ from tests.languages.rapid.rapid_edits import segment, shifted
 from tests.processes.forming.proof import forming_job as job
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("side", [1, -1])
 def test_ways_are_held_against_what_trimesh_leaves_of_a_face(side):
     vertices, faces = job.face(48, 8)

@@ -283,6 +283,7 @@ def slits(seed: int) -> SlitsAllowed:
     return one
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize("seed", range(16))
 @pytest.mark.parametrize("lead", ["auto", (1.0, 0.0, 0.4), (0.0, 0.0, -1.0)])
 def test_slits_that_the_search_finds_are_allowed(seed: int, lead: str | tuple[float, float, float]) -> None:

@@ -48,6 +48,7 @@ def fine(tip: FloatArray, axis: FloatArray, parts: int) -> tuple[FloatArray, Flo
     return tips, axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("lean", [0.0, 0.6])
 @pytest.mark.parametrize("cutter", CUTTERS, ids=lambda cutter: cutter.kind)
 def test_what_a_cutter_sweeps_is_what_booleans_say(cutter: Cutter, lean: float) -> None:

@@ -59,6 +59,7 @@ def fine(tmp_path_factory: pytest.TempPathFactory) -> Job:
     return Job(tmp_path_factory.mktemp("fine"), ABB, 0.01, 2400, CORNERS)
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     ("cell", "tolerance", "feed"),
     [(ABB, 0.01, 9000), (ABB, 0.1, 9000), (KUKA, 0.01, 2400)],
@@ -78,6 +79,7 @@ def moved(programs: dict[str, str], place: str, to: str) -> dict[str, str]:
     return {**programs, name: before + to + behind}
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     "corner", [(20.0, 0.0, -1.0, 0.0), (20.0, 2.0, -1.0, -0.1), (20.0, 20.0, -0.38, -0.92)]
 )

@@ -68,6 +68,7 @@ FOLLOWED: dict[str, dict[str, Any]] = {
 """What the hints of CASES say to change."""
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("code", CASES)
 def test_what_cannot_be_cut_is_refused_and_the_change_that_is_told_helps(tmp_path: Path, code: str) -> None:
     found = refused(tmp_path, **CASES[code])

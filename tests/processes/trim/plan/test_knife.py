@@ -156,6 +156,7 @@ def test_the_programs_are_proven(job: KnifeJob) -> None:
     assert text.count("SetDO doKnife,1;") == 1
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_told_by_the_rule_for_it_with_its_cause(job: KnifeJob, name: str) -> None:
     code, words, procedure, change = FAULTS[name]
@@ -325,6 +326,7 @@ def test_a_kuka_drags_a_knife_along_pieces_and_joints(tmp_path: Path) -> None:
     assert claim.signal == "" and claim.kerf == 0.0
 
 
+@pytest.mark.long
 def test_a_ur_cuts_on_a_wall(tmp_path: Path) -> None:
     (tmp_path / "ur10e.urdf").write_text(urdf_text.ur10e(), "utf-8")
     arm = {"robot": {"urdf": "ur10e.urdf", "name": "ur10e", "family": "ur", "payload_kg": 12.5}}
@@ -358,6 +360,7 @@ def test_an_axis_that_would_turn_on_and_on_is_named(tmp_path: Path) -> None:
     assert "axis 4 of arm robot would have to turn from" in found[0].message
 
 
+@pytest.mark.long
 def test_an_axis_that_would_jump_is_named(tmp_path: Path) -> None:
     """Axis 6 of a CRB 15000 goes from -180 to 180 deg: no blade goes all around with it."""
     whole = cut([RIM], arm={"robot": "crb15000_5_95"})

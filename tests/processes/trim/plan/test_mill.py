@@ -111,6 +111,7 @@ def test_the_programs_are_proven(job: Job) -> None:
     assert "TandemTorch" not in text  # a spindle may be set on again by hand, as another's
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_told_by_the_rule_for_it(job: Job, name: str) -> None:
     code, procedure, change = FAULTS[name]
@@ -161,6 +162,7 @@ def test_a_cutter_goes_down_a_ramp_unturned_and_slower_than_it_may(tmp_path: Pat
         assert (one.upper[rows[1:][steep]] == 0.0).all()
 
 
+@pytest.mark.long
 def test_a_kuka_plunges(tmp_path: Path) -> None:
     numbers = {"io": {"robot": {"doSpindle": 17}}, "dialect": "krc4"}
     hole = {"name": "round", "circle": {"at_mm": [0, 0], "diameter_mm": 12}}
@@ -179,6 +181,7 @@ def test_a_kuka_plunges(tmp_path: Path) -> None:
     assert ways == pytest.approx([0.0, 0.0, -4.0e-3], abs=1e-6)  # from 2 mm over it to 1 mm through 1 mm
 
 
+@pytest.mark.long
 def test_short_slots_are_as_fast_as_asked_where_nothing_goes_down(tmp_path: Path) -> None:
     """The last bit of a slow way down is not counted as slow cutting; a slot that is cut slowly is, and the
     planner says so, however quick the way down is for its feed."""

@@ -77,6 +77,7 @@ PARTS = {
 }
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("name", PARTS)
 def test_the_claims_of_a_part_hold(tmp_path, name):
     mode, part, sheet, options = PARTS[name]

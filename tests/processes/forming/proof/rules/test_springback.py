@@ -87,6 +87,7 @@ def passes_of(context: Context, forming: Forming) -> list[springback_bounds.File
     return list(springback._passes(context, forming, forming.told[0]))
 
 
+@pytest.mark.long
 def test_what_is_planned_is_proven_and_five_points_are_solved_again(outcome: Outcome) -> None:
     assert outcome.verified, outcome.issues
     rules = {rule.code: rule for rule in outcome.proof.rules}
@@ -237,6 +238,7 @@ def test_what_is_wrong_in_a_file_is_found(context: Context, file: Path, change: 
     assert any(named in what for what in messages(context)), messages(context)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [0.93, pytest.param(2.0, marks=pytest.mark.long)])
 def test_what_the_sheet_does_not_say_is_found_where_it_is_drawn(
     context: Context, file: Path, monkeypatch: pytest.MonkeyPatch, factor: float
@@ -539,6 +541,7 @@ def _all_around(old: Callable[..., Any]) -> Callable[..., Any]:
 _AT = "processes.forming.plan.stated_force:Stated.at"
 
 
+@pytest.mark.sampled(every=5)
 @pytest.mark.parametrize(
     ("kind", "changes"),
     [

@@ -97,6 +97,7 @@ def test_a_power_needs_the_blocks_foam_and_a_round_wire() -> None:
         panels.operation({**strip, "temperature_c": 300}, kerf_mm=None, power_w=40)
 
 
+@pytest.mark.sampled(every=4)
 @pytest.mark.parametrize(("power", "code"), [(90.0, "kerf.too_hot"), (20.0, "kerf.too_cold")])
 @pytest.mark.parametrize("remedy", ["power_w", "feed_mm_s"])
 def test_slots_out_of_their_range_are_refused_before_motion_with_what_does(

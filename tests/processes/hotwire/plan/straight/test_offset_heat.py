@@ -131,6 +131,7 @@ def test_no_power_is_named_where_none_holds_both_ends() -> None:
     assert not heat_faults(issues(wing("blunt", "sharp", 0.7, edge=2e-3), power_w=27.0, **heat))
 
 
+@pytest.mark.long
 def test_an_end_that_stands_still_has_no_slot_of_its_own() -> None:
     still = wing("thick", "sharp", 0.6, match="least_twist")
     wide = {"power_w": 40.0, "feed_mm_s": 8, "kerf_range_mm": [0.8, 20.0]}

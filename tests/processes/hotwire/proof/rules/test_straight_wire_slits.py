@@ -95,6 +95,7 @@ def slanted(tries: Any) -> int:
     return int(np.argmin(np.abs(tries.through - 0.040)))
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize("pick", [longer, slanted])
 def test_a_slit_that_is_longer_than_it_has_to_be_is_not(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, pick: Callable[[Any], int]
@@ -202,6 +203,7 @@ LEADS = [
 ]
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(("ruled", "more"), LEADS)
 def test_a_stated_lead_is_followed(tmp_path: Path, ruled: list[Any], more: dict[str, Any]) -> None:
     outcome = planned(problem(tmp_path, ruled, **more))
@@ -210,6 +212,7 @@ def test_a_stated_lead_is_followed(tmp_path: Path, ruled: list[Any], more: dict[
     assert rule.where
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(("ruled", "more"), LEADS)
 def test_a_lead_that_the_planner_ignores(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, ruled: list[Any], more: dict[str, Any]
@@ -255,6 +258,7 @@ def test_a_slot_that_is_wider_than_the_gap_to_the_next_surface(
     assert [issue.value for issue in found] == pytest.approx([slot - 0.4] * 2, abs=0.02)
 
 
+@pytest.mark.long
 def test_strips_as_far_apart_as_the_slot_are_proven(tmp_path: Path) -> None:
     slot = 1e-3 * float(PROBLEM["operations"][0]["kerf_mm"])  # type: ignore[index]
     high_first = [{"surface": "high"}, {"surface": "low"}]
