@@ -45,6 +45,7 @@ def test_a_kuka_arm_reaches_all_of_the_wall_from_stations_of_its_track() -> None
     assert not has_errors(found.issues) and found.targets >= 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("file", "most"),
     [("problem.yaml", 2000.0), pytest.param("kuka.yaml", 2500.0, marks=pytest.mark.long)],
@@ -181,6 +182,7 @@ def test_one_cut_of_six_metres_is_milled_and_proven(tmp_path: Path, file: str, w
     assert again.ok
 
 
+@pytest.mark.long
 def test_report_and_files_show_the_arm_where_its_track_takes_it(tmp_path: Path) -> None:
     outcome = following_job.planned()
     problem, made = outcome.problem, outcome.plan.operations[0]

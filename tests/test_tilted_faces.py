@@ -59,6 +59,7 @@ def test_a_positioner_is_advised_for_a_kuka_arm_and_none_for_one_that_takes_none
     assert not stations.advice(other, targets)
 
 
+@pytest.mark.long
 def test_report_and_files_show_the_block_as_it_is_tilted(tmp_path: Path) -> None:
     outcome = positioner_job.planned()
     outcome.save(tmp_path)

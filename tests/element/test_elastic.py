@@ -260,6 +260,7 @@ def test_panels_that_a_judge_refuses_are_avoided(small: tuple[Search, tuple[Elas
     assert {(*panel.rectangle, panel.along, panel.wire) for panel in panels} <= set(asked)
 
 
+@pytest.mark.long
 def test_where_nothing_avoids_them_refused_panels_stay_with_their_reason() -> None:
     """A corner that no panel may cover: the smallest one there stays, the others are not refused."""
     rules = case((1.2, 0.9), (6, 5), 0.9, (0.7, 0.5, 0.15)).rules

@@ -260,6 +260,7 @@ def test_jobs_of_blocks_need_raw_blocks(tmp_path: Path) -> None:
     assert "cut_blocks" in caught.value.issues[0].message
 
 
+@pytest.mark.long
 def test_jobs_out_of_reach_are_named_with_a_bow_that_reaches_them(tmp_path: Path, out: Path) -> None:
     assert not [i for i in data_of(out)["issues"] if i["field"] == "cut_blocks"]
     small = {**SAW["operations"][0], "setup": {"tools": {"robot": {"kind": "bow", "span_mm": 400}}}}

@@ -238,6 +238,7 @@ def test_panels_are_laid_out_as_seen_from_the_front(waves: dict[str, str]) -> No
     assert looked > 1
 
 
+@pytest.mark.long
 def test_the_same_file_gives_the_same_bytes_and_a_billionth_moves_no_id(
     tmp_path: Path, waves: dict[str, str]
 ) -> None:

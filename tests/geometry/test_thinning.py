@@ -31,6 +31,7 @@ def test_no_vertex_is_farther_than_the_diagonal_from_the_one_that_stands_for_it(
     assert cKDTree(fine.vertices).query(few.vertices)[0].max() < CELL * np.sqrt(3.0)
 
 
+@pytest.mark.long
 def test_edges_stay_where_they_are() -> None:
     """Means are inside of the rim by millimetres; what is nearest to the planes is on it."""
     few = joined(drum(), CELL, edges=True)

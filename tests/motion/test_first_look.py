@@ -224,6 +224,7 @@ def test_a_block_that_leans_otherwise_is_seen(tmp_path: Path) -> None:
     assert found[0] == found[1] != found[2]
 
 
+@pytest.mark.long
 def test_fewer_loops_of_a_formed_sheet_are_as_true_as_all_and_kept_for_first_looks_alone(
     tmp_path: Path,
 ) -> None:

@@ -77,6 +77,7 @@ def test_distances_of_bodies_are_those_of_bases_row_by_row(tmp_path: Path) -> No
     assert len(set(near.pair)) > 1 and free.any() and not free.all()
 
 
+@pytest.mark.long
 def test_a_weak_track_makes_the_tool_slower_and_is_proven(tmp_path: Path) -> None:
     weak = {**following_job.FOLLOWING, "acceleration_mm_s2": 150, "speed_mm_s": 120}
     outcome = planner.plan(following_job.problem(tmp_path, weak))

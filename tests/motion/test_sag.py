@@ -189,6 +189,7 @@ def test_nothing_is_proven_where_the_feed_of_the_loaded_arm_does_not_settle(
     assert "its way cannot be told" in said[0]
 
 
+@pytest.mark.long
 def test_a_force_by_depth_is_that_of_the_table_at_each_place(tmp_path: Path) -> None:
     """C times the force between the rows of the table, by hand, is the way from command to plan."""
     problem, plan = planned(edited(JOBS["dsif_deep"](tmp_path), compensate_sag={"load": False}))

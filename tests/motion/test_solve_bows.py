@@ -111,6 +111,7 @@ def test_two_arms_share_the_motion_and_the_place_is_found() -> None:
     assert (moved[2:] > 1e-4).sum() >= 4, "the holder uses its freedoms"
 
 
+@pytest.mark.long
 def test_turning_axis_6_alone_has_no_path_where_all_freedoms_have_one() -> None:
     """The holder's axis 5 is straight, which no turn about the block's own axis changes."""
     straight = (0.0, -50.0, 30.0, 0.0, 0.0, 0.0)
@@ -152,6 +153,7 @@ def test_a_path_goes_through_corners_where_the_nominal_pose_jumps() -> None:
     assert paths[0].path.cost == pytest.approx(paths[1].path.cost, rel=0.2)
 
 
+@pytest.mark.long
 def test_a_path_that_is_gone_on_with_is_the_one_found_anew(
     facing: tuple[Cell, Stock, Targets, FloatArray], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,6 +64,7 @@ def test_what_a_refused_step_touches_is_asked_for_in_the_next_one(monkeypatch: p
     np.testing.assert_allclose(first, whole, atol=1e-5)
 
 
+@pytest.mark.long
 def test_a_tree_s_way_that_is_not_free_between_its_looks_is_mended_and_drake_sees_it_clear(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

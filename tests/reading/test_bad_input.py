@@ -196,6 +196,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(("field", "value", "code"), WRONG, ids=[f"{f}={str(v)[:30]}" for f, v, _ in WRONG])
 def test_each_wrong_field_is_named(tmp_path: Path, field: str, value: Any, code: str) -> None:
     path = tmp_path / "p.yaml"

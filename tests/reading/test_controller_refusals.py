@@ -111,6 +111,7 @@ WRONG: list[tuple[str, Any, str, str]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.sampled(every=2)
 @pytest.mark.parametrize(
     ("field", "value", "code", "named"), WRONG, ids=[str(v)[:60] for _, v, _, _ in WRONG]
 )

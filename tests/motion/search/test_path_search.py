@@ -28,6 +28,7 @@ def posts(count: int) -> Iterator[tuple[Scene, Targets]]:
         yield scene, dataclasses.replace(targets, freedoms=(spin, slide))
 
 
+@pytest.mark.long
 def test_a_path_that_more_samples_have_is_found_though_dead_ends_are_told_from_targets_about_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

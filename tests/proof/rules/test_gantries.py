@@ -182,6 +182,7 @@ LATER = (
 """Those that are much like others are long tests."""
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.long) if n in LATER else n for n in MUTANTS]
 )

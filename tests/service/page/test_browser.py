@@ -157,6 +157,7 @@ def test_a_whole_job_from_upload_to_download(
     expect(row).to_contain_text("small")
 
 
+@pytest.mark.long
 def test_a_list_that_is_open_shows_jobs_that_others_send(page: Page, server: str, small: list[Path]) -> None:
     page.goto(server)
     page.locator("#rows tr, #empty").first.wait_for()
@@ -401,6 +402,7 @@ def test_a_job_goes_on_when_the_service_is_killed_and_started_again(
         shutil.rmtree(data, ignore_errors=True)
 
 
+@pytest.mark.long
 def test_a_token_is_asked_for_once_and_refused_at_its_field(page: Page, tmp_path: Path) -> None:
     data = tmp_path / "data"
     data.mkdir()

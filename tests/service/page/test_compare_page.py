@@ -74,6 +74,7 @@ def figures(page: Page) -> Locator:
     return page.locator("#result thead").first.locator("th")
 
 
+@pytest.mark.long
 def test_what_of_the_second_stands_elsewhere_is_drawn_and_named(
     page: Page, server: str, jobs: tuple[str, str], moved: str
 ) -> None:
@@ -101,6 +102,7 @@ def test_what_of_the_second_stands_elsewhere_is_drawn_and_named(
         assert (page.evaluate(CUT_OFF), page.evaluate(NAMELESS)) == ([], [])
 
 
+@pytest.mark.long
 def test_another_choice_is_drawn_as_the_former_was(
     page: Page, server: str, jobs: tuple[str, str], moved: str, none: str
 ) -> None:
@@ -136,6 +138,7 @@ def test_another_choice_is_drawn_as_the_former_was(
     expect(page.locator("#banner")).to_be_hidden()
 
 
+@pytest.mark.long
 def test_a_job_that_is_gone_is_told_and_nothing_else_is_shown_for_it(
     page: Page, server: str, jobs: tuple[str, str], tmp_path: Path
 ) -> None:
@@ -157,6 +160,7 @@ def test_a_job_that_is_gone_is_told_and_nothing_else_is_shown_for_it(
     expect(figures(page)).to_have_count(3)
 
 
+@pytest.mark.long
 def test_a_job_under_way_is_followed_to_its_end(page: Page, server: str, jobs: tuple[str, str]) -> None:
     """Its state and stage as they change; figures, programs and the picture when it has ended, without
     anybody's doing, and over a time in which the service is away."""

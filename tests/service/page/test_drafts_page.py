@@ -52,6 +52,7 @@ def draft_of(page: Page) -> str:
     return page.url.partition("draft=")[2][:32]
 
 
+@pytest.mark.long
 def test_what_is_edited_is_kept_and_opened_on_another_machine(
     page: Page, browser: Browser, server: str
 ) -> None:
@@ -104,6 +105,7 @@ def test_a_name_that_no_title_may_have_is_kept_all_the_same(page: Page, server: 
     assert asked(server, f"/v1/drafts/{kept['id']}/versions/1/problem")["name"].startswith("a\u202eb\u0007")
 
 
+@pytest.mark.long
 def test_a_title_goes_with_the_name_until_somebody_gives_another(page: Page, server: str) -> None:
     begun(page, server)
     called(page, "wing_1")
@@ -154,6 +156,7 @@ def test_a_draft_that_was_sent_is_no_unsent_work(page: Page, server: str) -> Non
     asked(server, f"/v1/jobs/{job}", "DELETE")
 
 
+@pytest.mark.long
 def test_a_draft_that_was_swept_is_no_unsent_work(page: Page, server: str) -> None:
     begun(page, server)
     called(page, "swept_1")
@@ -174,6 +177,7 @@ def test_a_draft_that_was_swept_is_no_unsent_work(page: Page, server: str) -> No
         asked(server, f"/v1/jobs/{one['id']}", "DELETE")
 
 
+@pytest.mark.long
 def test_a_draft_that_was_deleted_is_told(page: Page, server: str) -> None:
     begun(page, server)
     called(page, "gone")

@@ -37,6 +37,7 @@ def scan_of(job: FormingJob, shallow: FloatArray, seed: int) -> tuple[Cloud, Pro
     return rounds.scan_of(job, LEVELS, shallow, seed)
 
 
+@pytest.mark.long
 def test_two_rounds_leave_two_tenths_and_the_third_changes_nothing(job: FormingJob) -> None:
     """Below the first three millimetres, where the plant's sheet gives way before it forms at all."""
     left = [np.abs(one) for one in Rounds(job, KINDS["cone"]).run(seed=1, count=3)]

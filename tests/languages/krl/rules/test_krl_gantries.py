@@ -167,6 +167,7 @@ LATER = ("no speed of the lift", "a third axis", "no lift", "metres", "one axis 
 """Those that are much like others are long tests."""
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.long) if n in LATER else n for n in MUTANTS]
 )

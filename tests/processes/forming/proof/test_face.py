@@ -52,6 +52,7 @@ def test_in_the_tip_of_a_cone_it_stays_off_by_that_of_all_its_walls(angle: float
     assert got[0] == pytest.approx(BALL * (1.0 / np.cos(np.radians(angle)) - 1.0), abs=5e-6)
 
 
+@pytest.mark.long
 def test_a_face_that_is_wide_enough_is_left_as_it_is() -> None:
     turn = np.radians(np.linspace(50.0, 0.0, 26))
     radius = 1.2 * BALL  # a dish
@@ -77,6 +78,7 @@ def test_what_is_left_in_a_sharp_corner_is_a_fillet_of_the_ball() -> None:
     assert off[tight] == pytest.approx(ball, abs=8e-5)  # facets
 
 
+@pytest.mark.long
 def test_long_triangles_are_left_with_fillets_at_all_their_corners(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pit as drawn, of a few triangles, with more small pieces than are looked at."""
     monkeypatch.setattr(forming_face, "_MOST_PIECES", 20_000)
@@ -93,6 +95,7 @@ def test_long_triangles_are_left_with_fillets_at_all_their_corners(monkeypatch: 
     assert left.nearest(inner).apart == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_planner_tells_volume_place_and_share_of_a_sharp_floor() -> None:
     angle, radius = np.radians(65.0), 0.03
     one = made(cone(65.0, 0.01, radius, 120))[-1]

@@ -69,6 +69,7 @@ def told(texts):
     return not rule.passed
 
 
+@pytest.mark.long
 def test_before_anything_is_formed_the_sheet_is_flat_for_the_support():
     """The way in goes to the first target; raised by 3 mm its ball is above the flat sheet's near face."""
     texts = job.programs()

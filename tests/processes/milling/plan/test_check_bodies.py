@@ -67,6 +67,7 @@ def _near(tip: FloatArray, axis: FloatArray, start: float, end: float, radius: f
 PATHS = [_path(), *(_leaning(seed) for seed in range(3))]
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("path", range(len(PATHS)))
 @pytest.mark.parametrize("cutter", CUTTERS, ids=lambda cutter: cutter.kind)
 def test_the_proof_finds_the_nearest_of_all_places(cutter: Cutter, path: int) -> None:
@@ -85,6 +86,7 @@ def test_the_proof_finds_the_nearest_of_all_places(cutter: Cutter, path: int) ->
             _agrees_below(wanted, deep, tool_motion.SIGHT_DISTANCE, below)
 
 
+@pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("path", range(len(PATHS)))
 @pytest.mark.parametrize("cutter", CUTTERS, ids=lambda cutter: cutter.kind)
 def test_the_planner_finds_the_nearest_of_all_places(cutter: Cutter, path: int) -> None:

@@ -72,6 +72,7 @@ def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:
     assert (high - tips.max(axis=0)).min() > 11e-3
 
 
+@pytest.mark.long
 def test_lines_with_a_wide_margin_are_proven_on_what_they_make(tmp_path: Path) -> None:
     cut = {"lines": "front", "stepover_mm": 1.5, "margin_mm": 16}
     job = Job(tmp_path, PANEL, BALL, cuts=[cut])

@@ -39,6 +39,7 @@ def dipped(depth: float, where: float) -> tuple[np.ndarray, np.ndarray]:
     return tip, np.broadcast_to([0.0, 0.0, 1.0], tip.shape)
 
 
+@pytest.mark.long
 @pytest.mark.sampled(every=3)
 @pytest.mark.parametrize("where", [-0.7213, 0.0031, 1.1117])
 def test_a_spot_is_found_on_a_face_of_any_size(where: float) -> None:

@@ -83,6 +83,7 @@ def test_a_plate_is_like_one_of_another_thickness() -> None:
         np.testing.assert_allclose(told, pressed(thickness * 1e-3, grip), rtol=0.004)
 
 
+@pytest.mark.long
 def test_borders_that_differ_are_told_apart() -> None:
     one, _, three, four = (calibrate(PLATE, readings(truth, 1), response()) for truth in TRUTHS)
     assert one.border == "sliding"

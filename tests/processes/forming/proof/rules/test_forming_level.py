@@ -346,6 +346,7 @@ def test_a_wall_too_steep_below_the_level_before_is_no_level(tmp_path: Path) -> 
     assert issue.value > issue.limit == pytest.approx(73.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [0, pytest.param(3, marks=pytest.mark.long)])
 def test_the_first_and_the_last_level_are_proven(tmp_path: Path, number: int) -> None:
     path = written(tmp_path, level_files.stated(number, before_mm=0.0 if number == 0 else 0.4))

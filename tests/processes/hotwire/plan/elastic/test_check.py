@@ -23,6 +23,7 @@ def make(wire_of: dict[str, Any] | None = None, **more: Any) -> dict[str, Issue]
     return {issue.code: issue for issue in caught.value.issues}
 
 
+@pytest.mark.long
 def test_a_wire_too_short_for_its_margins_says_the_length_that_would_do() -> None:
     steel = {"material": "spring_steel", "diameter_mm": 1.5, "length_mm": 215, "temperature_c": 300}
     issue = make(steel)["wire.too_short"]
@@ -33,6 +34,7 @@ def test_a_wire_too_short_for_its_margins_says_the_length_that_would_do() -> Non
     assert job.ElasticJob(panels.operation(enough), panels.setup(), panels.part()).targets().count > 50
 
 
+@pytest.mark.long
 def test_a_wire_too_thick_says_the_thickness_that_would_do() -> None:
     issue = make({"material": "spring_steel", "diameter_mm": 3, "length_mm": 520, "temperature_c": 300})
     assert issue["wire.curvature"].unit == "mm"

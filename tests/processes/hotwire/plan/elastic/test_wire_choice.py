@@ -133,6 +133,7 @@ def shallow() -> tuple[Part, Setup]:
     return part, setup(size=(0.31, 0.51, 0.10))
 
 
+@pytest.mark.long
 def test_a_longer_wire_that_a_refusal_names_holds_against_errors_of_its_ends() -> None:
     part, place = shallow()
     operation = panels.operation(STEEL | {"length_mm": 600}, sweep="auto", faces=("front",))

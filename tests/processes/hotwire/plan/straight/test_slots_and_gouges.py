@@ -64,6 +64,7 @@ def test_strips_that_face_one_another_keep_the_slot_between_them(gap: float, goo
         assert f"move them apart by {1e3 * (2 * HALF - gap):.2f} mm" in found[0].message
 
 
+@pytest.mark.long
 def test_surfaces_whose_wires_run_across_one_another_keep_the_slot_too() -> None:
     """A hole along x that comes within 0.4 mm of a strip along y, at its top."""
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
@@ -120,6 +121,7 @@ def test_two_strips_at_an_inner_corner_would_go_on_through_the_part() -> None:
     assert not errors(blocks.part(one))
 
 
+@pytest.mark.long
 def test_a_strip_may_cross_what_bounds_the_part_together_with_it() -> None:
     assert not errors(
         blocks.part(blocks.prism("top", [(-0.15, 0.06), (0.15, 0.06)]), square("side", 0.0, 0.03))
