@@ -66,6 +66,10 @@ def _check(line: int, words: Line, rows: Rows) -> syntax_tree.Ending:
     *numbers, own = next_line(rows).rest(
         "if", input_read, "!=level or", input_read, "==False or", output_read, "!=own:"
     )
+    if numbers[0] == numbers[1]:
+        raise ScriptError(
+            "syntax", f"input {numbers[0]} is compared twice; the line and the running wire differ"
+        )
     off, text = switched_off(rows, blocking=True)
     must_be(rows, "end", "end")
     return syntax_tree.Ending(line, tuple(numbers), own, off, text)

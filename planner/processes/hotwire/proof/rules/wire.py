@@ -188,7 +188,7 @@ def _driven_feed(context: Context, wire: Wire, speed: FloatArray) -> tuple[Float
     than on the mean from station to station, and as its way there is longer than the straight one: stations
     stand on both sides of a corner."""
     motion, times, longer = context.motion, np.ones(len(speed)), np.ones(len(speed))
-    longest = np.zeros(len(speed) - 1)
+    longest = np.zeros(max(len(speed) - 1, 0))
     for arm, own in tool_speeds(context).items():
         if arm not in wire.arms or len(speed) < 2:
             continue
