@@ -6,9 +6,7 @@ nested apart (`geometry/nesting.py`); what is left over of earlier elements is u
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Literal
 
@@ -16,6 +14,7 @@ import numpy as np
 
 from planner.element.rows import SAME, Limits, Piece, Row, Shape, rows_of
 from planner.element.stock_list import LeftOver, text
+from planner.files import csv_text
 from planner.geometry.cut_tree import Bow, Cut, CutTree, Part, needs, unreached
 from planner.geometry.line_nest import in_lines
 from planner.geometry.nesting import Block, Box, Nest, Rules, fits, least_blocks, nest
@@ -382,11 +381,10 @@ def table(
     """`blocks.csv`: a row for each block, panels in the order in which they come free, and one for all;
     ``jobs``: names of the problems that cut each block, by its id; ``together``: with panels that are cut
     together, and why the others are not."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
     columns = ("block", "left_over", "length_mm", "width_mm", "thickness_mm", "foam", "cuts", "level_cuts")
     last = ("together", "by_themselves") if together else ()
-    writer.writerow([*columns, "panels", "yield_volume", "yield_boxes", "least_blocks", "jobs", *last])
+    named = [*columns, "panels", "yield_volume", "yield_boxes", "least_blocks", "jobs", *last]
+    rows: list[list[object]] = [named]
     for block in nesting.blocks:
         names = " ".join(panels[block.panel(part.box)].name for part in block.boxes())
         size = [f"{round(v / MM, 3):g}" for v in block.size]
@@ -395,7 +393,7 @@ def table(
         own = " ".join((jobs or {}).get(block.name, ()))
         row = [block.name, block.source or "", *size, block.foam or "", *cuts, names, *share, "", own]
         whole = " + ".join(" ".join(one.outlines) for one in block.rows.values())
-        writer.writerow([*row, whole, _alone(block, panels)] if together else row)
+        rows.append([*row, whole, _alone(block, panels)] if together else row)
     share = [f"{v:.4f}" for v in total_yields(nesting, panels)]
     cuts = [
         sum(len(block.tree.cuts()) for block in nesting.blocks),
@@ -403,8 +401,8 @@ def table(
     ]
     count = sum(len(one.outlines) for block in nesting.blocks for one in block.rows.values())
     more = [count, sum(len(block.alone) for block in nesting.blocks)] if together else []
-    writer.writerow(["all", "", "", "", "", "", *cuts, "", *share, nesting.bound, "", *more])
-    return out.getvalue()
+    rows.append(["all", "", "", "", "", "", *cuts, "", *share, nesting.bound, "", *more])
+    return csv_text(rows)
 
 
 def _alone(block: NestedBlock, panels: Sequence[PanelBlock]) -> str:

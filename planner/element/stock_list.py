@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from planner.files import is_file, no_file, not_by_commas
+from planner.files import csv_text, is_file, no_file, not_by_commas
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 
@@ -92,10 +92,8 @@ def _fault(file: str, line: int, what: str, hint: str) -> Issue:
 
 def text(pieces: Iterable[LeftOver]) -> str:
     """The list as a file."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows: list[Iterable[str]] = [COLUMNS]
     for one in pieces:
         sides = (f"{round(v / MM, 3):g}" for v in (one.length, one.width, one.thickness))
-        writer.writerow([one.name, *sides, one.foam or ""])
-    return out.getvalue()
+        rows.append([one.name, *sides, one.foam or ""])
+    return csv_text(rows)

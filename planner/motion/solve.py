@@ -302,8 +302,16 @@ def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
 
 @dataclasses.dataclass(frozen=True)
 class _PlacementSearch:
-    """A stand of a problem with the collision ``models`` of its setups. ``at`` is set to the operation that
-    is looked at or planned, ``tell`` says how far the plan is, ``executor`` runs independent work."""
+    """The search for a place at which the operations of a stand have plans.
+
+    Attributes:
+        problem: The problem.
+        stand: Setups whose block stays in one place.
+        models: Collision model of each setup.
+        at: One element, set to the index of the operation that is examined or planned.
+        tell: Receives the progress of the plan.
+        executor: Runs independent work.
+    """
 
     problem: Problem
     stand: Stand

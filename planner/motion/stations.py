@@ -317,8 +317,15 @@ def _homes(setup: Setup) -> dict[str, FloatArray]:
 
 @dataclasses.dataclass(frozen=True)
 class _StationSearch:
-    """The operation at ``index`` of a problem, with its ``targets``, before which axes go one after the other
-    to their places; all stand ``at`` theirs meanwhile."""
+    """The search for values of axes of one operation.
+
+    Attributes:
+        problem: The problem, with all axes ``at`` their values.
+        index: Index of the operation.
+        targets: Targets of the operation.
+        at: Values [m, rad] of all axes by name. Axes move to new values one after the other.
+        passes: A quick test of a scene that replaces the search of a path, or None.
+    """
 
     problem: Problem
     index: int
@@ -330,14 +337,14 @@ class _StationSearch:
         """The setup of the operation."""
         return self.problem.setup_of(self.index)
 
-    def stood(self, at: Mapping[str, float]) -> _StationSearch:
-        """The same work with all axes ``at`` other places."""
+    def with_axes_at(self, at: Mapping[str, float]) -> _StationSearch:
+        """Return this search with all axes ``at`` other values."""
         problem = self.problem.stationed({**self.problem.stations, self.index: at})
         return dataclasses.replace(self, problem=problem, at=at)
 
     def aimed(self, value: Mapping[str, float]) -> tuple[Scene, Targets]:
         """The scene, and the targets, where an axis stands at a value and all others at theirs."""
-        problem = self.stood({**self.at, **value}).problem
+        problem = self.with_axes_at({**self.at, **value}).problem
         scene = _scene(problem, self.index, self.targets, _model(problem.setup_of(self.index)))
         return scene, with_aims(scene, self.targets)
 
@@ -404,7 +411,7 @@ def _try(
     here = {**work.at, **value}
     if rest:
         try:
-            return _placed(work.stood(here), rest)
+            return _placed(work.with_axes_at(here), rest)
         except TandemError as error:
             return error.issues[0]
     scene, own = work.aimed(value)
@@ -475,7 +482,7 @@ def _base_fault(work: _StationSearch, axis: _Axis, at: Mapping[str, float], valu
     """What the base itself comes too near to while it goes along with ``values`` (N,) [m]; the rest of the
     arm is looked at as it works."""
     low, high = float(values.min()), float(values.max())
-    setup = work.stood({**at, axis.name: low}).setup()
+    setup = work.with_axes_at({**at, axis.name: low}).setup()
     model = _model(setup)
     bodies = sorted({solid.body for solid in model.solids})
     aside = frozenset(map(frozenset, itertools.combinations(bodies, 2)))

@@ -7,10 +7,8 @@ without a unit, frames that are none.
 from __future__ import annotations
 
 import atexit
-import csv
 import functools
 import hashlib
-import io
 import math
 import os
 import shutil
@@ -21,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.files import FILE_KEYS, write_whole
+from planner.files import FILE_KEYS, csv_text, write_whole
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.geometry.units import LENGTH_UNITS, MM
 from planner.issues import Issue, TandemError
@@ -198,11 +196,7 @@ def pose_file(poses: Mapping[str, Any], unit: str | None, columns: Mapping[str, 
     if len(set(counts.values())) > 1:
         shown = ", ".join(f"{name} {count}" for name, count in counts.items() if not name.endswith("y_mm"))
         raise _fault("Targets.poses", f"the columns differ in length ({shown}); give as many of each")
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table)
-    writer.writerows(zip(*table.values(), strict=True))
-    return _stored(text.getvalue(), ".csv")
+    return _stored(csv_text([table, *zip(*table.values(), strict=True)]), ".csv")
 
 
 @functools.cache

@@ -15,26 +15,28 @@ from planner.proof.rule import mm
 CONTEXT: Any = SimpleNamespace(motion=None)
 
 
-def findings(values: list[float], way: str = "highest") -> Findings:
+def findings(values: list[float], method: str = "highest") -> Findings:
     out = Findings("verify.toy", CONTEXT)
-    if way == "lowest":
+    if method == "lowest":
         out.worst = math.inf
     for index, value in enumerate(values):
-        getattr(out, way)(value, where=f"row {index}", limit=0.01)
+        getattr(out, method)(value, where=f"row {index}", limit=0.01)
     return out
 
 
 @pytest.mark.parametrize(
-    ("way", "values", "where"),
+    ("method", "values", "where"),
     [
         ("highest", [0.001, 0.003, 0.002], "row 1"),
         ("highest", [0.003, 0.003], "row 0"),
         ("lowest", [0.002, 0.001, 0.003], "row 1"),
     ],
 )
-def test_the_worst_value_is_shown_with_its_place_and_limit(way: str, values: list[float], where: str) -> None:
-    found = findings(values, way).outcome(mm, "mm", nothing="nothing is there")
-    worst = max(values) if way == "highest" else min(values)
+def test_the_worst_value_is_shown_with_its_place_and_limit(
+    method: str, values: list[float], where: str
+) -> None:
+    found = findings(values, method).outcome(mm, "mm", nothing="nothing is there")
+    worst = max(values) if method == "highest" else min(values)
     assert (found.worst, found.limit, found.unit, found.where) == (mm(worst), 10.0, "mm", where)
     assert not found.nothing and not found.issues
 
@@ -45,10 +47,10 @@ def test_a_rule_that_examined_nothing_states_why() -> None:
     assert findings([]).outcome_beyond("nothing is there").nothing == "nothing is there"
 
 
-@pytest.mark.parametrize("way", ["highest", "lowest"])
+@pytest.mark.parametrize("method", ["highest", "lowest"])
 @pytest.mark.parametrize("values", [[math.nan], [math.nan, 0.5], [0.5, math.nan]])
-def test_a_value_that_is_no_number_is_never_passed_over(way: str, values: list[float]) -> None:
-    found = findings(values, way).outcome(mm, "mm", nothing="nothing is there")
+def test_a_value_that_is_no_number_is_never_passed_over(method: str, values: list[float]) -> None:
+    found = findings(values, method).outcome(mm, "mm", nothing="nothing is there")
     assert not found.nothing and found.worst is not None and math.isnan(found.worst)
 
 

@@ -218,6 +218,15 @@ def test_every_fault_of_the_look_at_a_wire_that_stays_high_is_caught():
     assert len(tried) == 8 and tried["left out"]
 
 
+@pytest.mark.parametrize("side", FILES)
+def test_a_look_that_compares_one_input_twice_is_refused_also_where_nothing_calls_it(side):
+    problem, good, file = ur_pair.problem(), ur_pair.programs(), FILES[side]
+    look = r"(if get_standard_digital_in\()\d(\)!=level or get_standard_digital_in\((\d)\))"
+    changed, count = re.subn(look, r"\g<1>\g<3>\g<2>", good[file])
+    assert count == 1
+    assert faults(problem, {**good, file: changed}) == ["no straight way"]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("kind", "every"), FORMS)
 def test_every_fault_is_caught(kind, every):

@@ -67,9 +67,8 @@ def _check(line: int, words: Line, rows: Rows) -> syntax_tree.Ending:
         "if", input_read, "!=level or", input_read, "==False or", output_read, "!=own:"
     )
     if numbers[0] == numbers[1]:
-        raise ScriptError(
-            "syntax", f"input {numbers[0]} is compared twice; the line and the running wire differ"
-        )
+        what = f"{syntax_tree.CHECK} compares input {numbers[0]} twice; line and running wire have one each"
+        raise ScriptError("syntax", what)
     off, text = switched_off(rows, blocking=True)
     must_be(rows, "end", "end")
     return syntax_tree.Ending(line, tuple(numbers), own, off, text)

@@ -331,6 +331,28 @@ def test_a_torch_without_an_input_is_proven(tmp_path: Path) -> None:
     assert proof.ok, [str(issue) for issue in proof.issues]
 
 
+@pytest.mark.parametrize("ok_signals", [(None, None), (None, "diArcOk"), ("diArcOk", None)])
+def test_operations_with_and_without_an_input_of_the_arc_are_proven(
+    tmp_path: Path, ok_signals: tuple[str | None, str | None]
+) -> None:
+    """Each has a thread of its own, because they are watched otherwise."""
+    one, other = (
+        {"name": name, "ok_signal": signal, "pierce": pierce, "outlines": [{"name": name, "circle": circle}]}
+        for name, signal, pierce, circle in (
+            ("a", ok_signals[0], {"height_mm": 4, "off_mm": 1.5}, {"at_mm": [-8, 0], "diameter_mm": 12}),
+            ("b", ok_signals[1], {"off_mm": 1.5, "seconds": 1}, {"at_mm": [8, 0], "diameter_mm": 12}),
+        )
+    )
+    whole = data(**one, **of_ur(tmp_path))
+    whole["operations"].append({**whole["operations"][0], **other, "feed_mm_s": 4})
+    read = pipeline.load(write_forming(tmp_path, whole, dish()))
+    plan = solve.solve(read, [registry.job(read, k).targets() for k in range(2)])
+    programs = dict(post.programs(plan, read))
+    assert programs[FILE].count("arc_lost<=") == sum(signal is not None for signal in ok_signals)
+    proof = Prover(read, registry.claims(read)).prove(programs)
+    assert proof.ok, [str(issue) for issue in proof.issues]
+
+
 def test_two_operations_cut_with_one_torch(tmp_path: Path) -> None:
     """Each has its own feed, so its own thread; each rule holds each of them against what it is to do."""
     whole = data(outlines=[{"name": "a", "circle": {"at_mm": [-8, 0], "diameter_mm": 12}}], **of_ur(tmp_path))

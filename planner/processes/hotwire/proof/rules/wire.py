@@ -187,10 +187,12 @@ def _driven_feed(context: Context, wire: Wire, speed: FloatArray) -> tuple[Float
     ``speed`` (T,), or where trajectories drive it as many times that as a tool is faster at an instant there
     than on the mean from station to station, and as its way there is longer than the straight one: stations
     stand on both sides of a corner."""
+    if len(speed) < 2:  # no way from one station to the next
+        return speed, speed
     motion, times, longer = context.motion, np.ones(len(speed)), np.ones(len(speed))
-    longest = np.zeros(max(len(speed) - 1, 0))
+    longest = np.zeros(len(speed) - 1)
     for arm, own in tool_speeds(context).items():
-        if arm not in wire.arms or len(speed) < 2:
+        if arm not in wire.arms:
             continue
         rows = np.arange(wire.sample[0], wire.sample[-1] + 1)
         seen = inverse(context.stock_poses(wire.setup, rows)) @ motion.poses(arm, rows)

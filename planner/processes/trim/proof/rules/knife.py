@@ -65,7 +65,7 @@ def _stands(slot: MeasuredCut, own: TrimBlade) -> None:
         what = f"the blade stands {np.rad2deg(turned[k]):.1f} deg off its curve while it is in the sheet; "
         what += f"allowed: {np.rad2deg(own.heading):g} deg, and no turn there at a sharp corner"
         slot.add(what, blade.rows[k])
-    slot.share(share.max())
+    slot.note(share.max())
 
 
 def _backwards(slot: MeasuredCut, own: TrimBlade) -> None:
@@ -94,4 +94,4 @@ def _turns(slot: MeasuredCut, own: TrimBlade) -> None:
             "the sheet on its way out; it is lifted first"
         )
         slot.add(what, track.rows[k])
-    slot.share(share.max())
+    slot.note(share.max())

@@ -68,7 +68,14 @@ def trim_mill(context: Context) -> Outcome:
 
 @dataclasses.dataclass(frozen=True)
 class MeasuredCut:
-    """The slot ``key`` that a tool cuts on its ``way``, and what a rule finds in it."""
+    """A slot that a tool cut.
+
+    Attributes:
+        findings: What the rule finds in it.
+        work: The operation.
+        key: Name of the segment.
+        way: The path of the tool in it.
+    """
 
     findings: Findings
     work: TrimWork
@@ -79,8 +86,8 @@ class MeasuredCut:
         """Add an issue at a sample of the motion."""
         self.findings.at_sample(f"in {self.key} {what}", self.work.claim.arm, row)
 
-    def share(self, value: float) -> None:
-        """Note a share of what is allowed."""
+    def note(self, value: float) -> None:
+        """Note a measured value as a fraction of what is allowed."""
         self.findings.highest(value, self.key)
 
 
@@ -104,7 +111,7 @@ def depth(slot: MeasuredCut, cuts: BoolArray) -> None:
             f"behind its face; wanted: {mm(own.below):g} mm through it within {mm(claim.height):g}"
         )
         slot.add(what, way.rows[k])
-    slot.share(max(high.max(), low.max()))
+    slot.note(max(high.max(), low.max()))
 
 
 def leans(slot: MeasuredCut) -> None:
@@ -115,7 +122,7 @@ def leans(slot: MeasuredCut) -> None:
     for k in evenly(share > 1.0, ISSUES_SHOWN):
         what = f"the {_word(work)} leans {np.rad2deg(lean[k]):.1f} deg off the sheet's normal; allowed: "
         slot.add(f"{what}{np.rad2deg(work.claim.cone):g} deg", way.rows[k])
-    slot.share(share.max())
+    slot.note(share.max())
 
 
 def _entry(slot: MeasuredCut, own: TrimCutter) -> None:
@@ -168,7 +175,7 @@ def goes_down(slot: MeasuredCut) -> None:
                 f"allowed: {mm(jitter):.2f} mm"
             )
             slot.add(what, track.rows[run[k]])
-    slot.share(share)
+    slot.note(share)
 
 
 def straight_down(slot: MeasuredCut) -> None:
@@ -206,7 +213,7 @@ def leaves(slot: MeasuredCut) -> None:
         worst = float(aside.max(initial=0.0)) / (claim.tolerance + PLACE_ERROR)
         for k in within[aside > claim.tolerance + PLACE_ERROR][:1]:
             slot.add(f"the {_word(work)} goes aside before it is out of the sheet", track.rows[k])
-    slot.share(worst)
+    slot.note(worst)
 
 
 def _beside(slot: MeasuredCut, curve: Curve, own: TrimCutter) -> None:
@@ -238,7 +245,7 @@ def _beside(slot: MeasuredCut, curve: Curve, own: TrimCutter) -> None:
             out.append((f"{what}{mm(allowed):.2f} mm", way.rows[first + where[k]]))
     for what, row in out[:ISSUES_SHOWN]:
         slot.add(what, row)
-    slot.share(worst)
+    slot.note(worst)
 
 
 def _dies(context: Context, trimming: Trimming) -> Iterator[Issue]:

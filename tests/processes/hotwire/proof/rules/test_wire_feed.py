@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.processes.hotwire.proof.rules.wire import feed_speed
+from planner.processes.hotwire.proof.rules.wire import _driven_feed, feed_speed
 from planner.proof.prove import Prover
 from planner.proof.replay import playback
 from tests.proof import small_job
@@ -30,6 +30,15 @@ def seen(slide: float, forward: float) -> np.ndarray:
     )
     context: Any = SimpleNamespace(motion=SimpleNamespace(time=TIMES))
     return feed_speed(context, wire)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_wire_without_a_way_between_stations_has_no_other_driven_feed(count: int) -> None:
+    """As of programs whose synchronised block has no move."""
+    nothing: Any = SimpleNamespace()
+    speed = np.full(count, np.nan)
+    for bound in _driven_feed(nothing, nothing, speed):
+        np.testing.assert_array_equal(bound, speed)
 
 
 @pytest.mark.parametrize("slide", [0.0, 1e-3, 5e-3])
