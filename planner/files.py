@@ -5,8 +5,6 @@ it, which is locked while its run lives and swept by the next run where that was
 are those of what plans depend on.
 """
 
-from __future__ import annotations
-
 import csv
 import errno
 import fcntl

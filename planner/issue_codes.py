@@ -4,8 +4,6 @@ A code is ``room.what``; it is stable once released. Plug-ins of other packages 
 (:func:`all_codes`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Final

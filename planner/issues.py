@@ -5,8 +5,6 @@ the subject, what was got, what is allowed and what to do. `given_wrong` tells f
 given (exit code 2) from what cannot be planned (exit code 3).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Collection, Iterable, Sequence
 from enum import StrEnum
@@ -80,7 +78,7 @@ class Issue:
         return {k: v for k, v in plain.items() if v is not None and v != () and not (k == "count" and v == 1)}
 
     @staticmethod
-    def from_dict(data: dict[str, Any]) -> Issue:
+    def from_dict(data: dict[str, Any]) -> "Issue":
         """The inverse of :meth:`to_dict`."""
         known = dict(data)
         known["severity"] = Severity(known.get("severity", "error"))

@@ -8,8 +8,6 @@ their labels, files (``{"$file": name}``) as their names, for a result's folder 
 Nothing is pickled.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib

@@ -4,8 +4,6 @@
 rest of the house needs of one is :class:`Operation`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -260,7 +258,7 @@ class Arm:
         """Whether its track goes along while it works."""
         return self.track is not None and self.track.follow is not None
 
-    def at_stations(self, values: Mapping[str, float]) -> Arm:
+    def at_stations(self, values: Mapping[str, float]) -> "Arm":
         """The arm where its axes have these values [m], by their names; raises ``KeyError`` where one is
         missing."""
         base, stands = self.base, self.stands
@@ -281,7 +279,7 @@ class Obstacle:
     name: str
     shapes: tuple[Shape, ...]
 
-    def moved(self, motion: FloatArray) -> Obstacle:
+    def moved(self, motion: FloatArray) -> "Obstacle":
         """The body moved by a motion (4, 4) of the world."""
         shapes = tuple(dataclasses.replace(one, pose=motion @ one.pose) for one in self.shapes)
         return dataclasses.replace(self, shapes=shapes)
@@ -316,7 +314,7 @@ class Cell:
     name: str
     arms: tuple[Arm, ...]
     obstacles: tuple[Obstacle, ...]
-    controller: Controller
+    controller: "Controller"
     grippers: tuple[Gripper, ...] = ()
     wires: tuple[BentWire, ...] = ()
     turntable: Turntable | None = None
@@ -356,7 +354,7 @@ class Cell:
             out[TILT] = table.tilt.turned(np.eye(4), there.get(TILT, 0.0) - here.get(TILT, 0.0))
         return {name: out[name] for name in self.riders}
 
-    def gone(self, there: Mapping[str, float], here: Mapping[str, float]) -> Cell:
+    def gone(self, there: Mapping[str, float], here: Mapping[str, float]) -> "Cell":
         """The cell with the bodies that stand on axes where these take them from values ``here`` [m, rad] to
         those ``there``."""
         goes = self.going(there, here)
@@ -595,7 +593,7 @@ class Stock:
         both = {STOCK: self.station, TILT: self.tilt}
         return {name: value for name, value in both.items() if value is not None}
 
-    def at_station(self, table: Turntable, values: Mapping[str, float]) -> Stock:
+    def at_station(self, table: Turntable, values: Mapping[str, float]) -> "Stock":
         """The block where its turntable has these values [rad], by the names of its axes; raises
         ``ValueError`` for one whose place is not known."""
         if self.place is None:
@@ -722,7 +720,7 @@ class Settings:
         """The clearance [m] of links and tool of one arm to each other: never more than that of all else."""
         return min(self.clearance, OWN_CLEARANCE if self.own_clearance is None else self.own_clearance)
 
-    def wider(self, by: float) -> Settings:
+    def wider(self, by: float) -> "Settings":
         """The same with both clearances wider by a distance [m]."""
         return dataclasses.replace(self, clearance=self.clearance + by, own_clearance=self.of_one_arm + by)
 
@@ -765,7 +763,7 @@ class Setup:
         return {**{k: v for arm in self.cell.arms for k, v in arm.stands.items()}, **self.stock.stands}
 
     @property
-    def upright(self) -> Setup:
+    def upright(self) -> "Setup":
         """The same with a positioner's tilt at 0, where the block stands on its plate."""
         table, tilt = self.cell.turntable, self.stock.tilt
         if table is None or not tilt:
@@ -805,7 +803,7 @@ class Problem:
     forces: Mapping[int, Mapping[str, Force]] = dataclasses.field(default_factory=dict)
     stations: Mapping[int, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
-    def stationed(self, stations: Mapping[int, Mapping[str, float]]) -> Problem:
+    def stationed(self, stations: Mapping[int, Mapping[str, float]]) -> "Problem":
         """The same with arms on tracks and the block at stations, as :attr:`stations` has them."""
         return dataclasses.replace(self, stations=stations) if stations else self
 

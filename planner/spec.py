@@ -15,8 +15,6 @@ Names of files start at the working directory. Sections do not change: :meth:`Se
 :meth:`Section.changed` give others.
 """
 
-from __future__ import annotations
-
 import copy
 import inspect
 from collections.abc import Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ A process turns a part into :class:`Targets` without knowing a robot; ``motion/`
 paths without knowing a process. Poses are (..., 4, 4) float64, in metres, in the arm's work frame.
 """
 
-from __future__ import annotations
-
 import abc
 import dataclasses
 import functools

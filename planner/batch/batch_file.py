@@ -4,8 +4,6 @@ Fields are named by dotted paths: ``settings.clearance_mm``, ``operations.0.feed
 ``cell.arms.left.tool.radius_mm``; an entry of a list by its number or its name.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

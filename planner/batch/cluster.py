@@ -9,8 +9,6 @@ machine: a crash, a time-out or too much memory fails a job alone here too, and 
 worker's end only where the worker itself has gone. What plans is not imported into the Dask worker.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import importlib.util

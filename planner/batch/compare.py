@@ -5,8 +5,6 @@ saved: the plan, what the proof said of it, and its figures. Rows of the summary
 the command line, ``summary.csv`` and one HTML file with thumbnails and a link to each report.
 """
 
-from __future__ import annotations
-
 import base64
 import csv
 import dataclasses

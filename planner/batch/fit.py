@@ -5,8 +5,6 @@ the problem's own cell, in their order; what else differs (tools, reach, payload
 its proof say.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path

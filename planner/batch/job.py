@@ -4,8 +4,6 @@ What is to be planned, what came out, what is heard of it meanwhile. A result is
 folder beside its own, which is renamed when it is whole.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib
@@ -101,7 +99,7 @@ class Done:
         }
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Done:
+    def from_dict(data: Mapping[str, Any]) -> "Done":
         """The inverse of :meth:`to_dict`; raises ``KeyError``, ``TypeError`` or ``ValueError`` for other
         data."""
         if data["state"] not in STATES:
@@ -207,7 +205,7 @@ class Place:
         self._hidden: Path | None = None
 
     @staticmethod
-    def claim(folder: Path, record: Record | None) -> Place:
+    def claim(folder: Path, record: Record | None) -> "Place":
         """The place, if ``folder`` can be one: missing, or a result. Raises ``TandemError``
         (``output.folder``)."""
         if os.path.lexists(folder):

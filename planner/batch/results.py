@@ -1,7 +1,5 @@
 """Result folders of jobs that this process did not plan: stopped jobs, and results from other machines."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Items are files, folders, bundled names and batch files, in a fixed order. Jobs 
 are not planned again.
 """
 
-from __future__ import annotations
-
 import collections
 import dataclasses
 import fcntl

@@ -4,8 +4,6 @@ A job may also divide a building element, or report on one. Issues name files as
 (:class:`Names`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 import traceback
@@ -55,7 +53,7 @@ def solve(
 def _solved(
     source: Path,
     result: Path,
-    called: Names,
+    called: "Names",
     on_progress: pipeline.Progress,
     on_issues: OnIssues,
     reports: Reports,

@@ -6,8 +6,6 @@ tell it from a crash. A worker process is known here as its parent sees it: orde
 memory, end (:mod:`planner.batch.worker` is the other side).
 """
 
-from __future__ import annotations
-
 import collections
 import contextlib
 import dataclasses

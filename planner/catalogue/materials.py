@@ -4,8 +4,6 @@ Wires and blocks are in ``data/materials.yaml``, metals of sheets in ``data/shee
 Temperatures are in degrees Celsius.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from pathlib import Path

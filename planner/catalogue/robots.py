@@ -2,8 +2,6 @@
 ``urdf/robots.yaml``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -6,8 +6,6 @@ axis. So a distance changes by no more than that: looks lie as far apart as the 
 room, and between two of them a bound holds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence

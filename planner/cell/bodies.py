@@ -5,8 +5,6 @@ batched. Which pairs of bodies are not held apart, and why, is decided once when
 and shown in the report.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

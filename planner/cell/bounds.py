@@ -5,8 +5,6 @@ capsules is a lower bound of the true one, that of the inner capsules an upper b
 table, bases) stay boxes. Pairs that no bound settles are measured (:mod:`planner.cell.distance`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -84,13 +82,13 @@ class Bounds:
     cores: Cores
     ease: FloatArray
 
-    def eased(self, easing: Easing) -> Bounds:
+    def eased(self, easing: Easing) -> "Bounds":
         """The same with pairs of bodies that count as farther apart than they are."""
         bodies = [solid.body for solid in self.given]
         ease = np.array([[easing.of(one, other) for other in bodies] for one in bodies])
         return dataclasses.replace(self, ease=ease.reshape(len(bodies), len(bodies)))
 
-    def among(self, ignore: frozenset[frozenset[str]]) -> Bounds:
+    def among(self, ignore: frozenset[frozenset[str]]) -> "Bounds":
         """The same without the pairs of bodies in ``ignore``."""
         if not ignore:
             return self
@@ -100,7 +98,7 @@ class Bounds:
         return self._among[ignore]
 
     @functools.cached_property
-    def _among(self) -> dict[frozenset[frozenset[str]], Bounds]:
+    def _among(self) -> "dict[frozenset[frozenset[str]], Bounds]":
         """What :meth:`among` has given."""
         return {}
 
@@ -151,7 +149,7 @@ class Bounds:
                 out += [(min(i, k), max(i, k)) for i in wrist]
         return tuple(out)
 
-    def without(self, solids: Collection[SolidPair]) -> Bounds:
+    def without(self, solids: Collection[SolidPair]) -> "Bounds":
         """The same without pairs of solids, by their places in ``given``."""
         return self._kept(lambda a, b: (min(a, b), max(a, b)) not in solids)
 
@@ -162,12 +160,12 @@ class Bounds:
         first = [(a, b) for a, b in some.pairs.tolist()]
         return tuple(first + [(a, b + len(self.solids)) for a, b in some.box_pairs.tolist()])
 
-    def _of_one_arm(self) -> Bounds:
+    def _of_one_arm(self) -> "Bounds":
         """The same with pairs of bodies of one arm only."""
         arm = [solid.body.partition("/") for solid in self.given]
         return self._kept(lambda a, b: arm[a][0] == arm[b][0] and bool(arm[a][1]) and bool(arm[b][1]))
 
-    def _kept(self, keep: Callable[[int, int], bool]) -> Bounds:
+    def _kept(self, keep: Callable[[int, int], bool]) -> "Bounds":
         """The same with those pairs only, by their places in ``given``, that ``keep`` says to keep."""
         count = len(self.solids)
         first = np.array([keep(a, b) for a, b in self.pairs.tolist()], dtype=bool)
@@ -198,7 +196,7 @@ class Bounds:
             lower[open_] = self._least_within(rest, limit, upper if both else None)
         return lower, upper
 
-    def _least_within(self, placed: _Placed, limit: float, upper: FloatArray | None = None) -> FloatArray:
+    def _least_within(self, placed: "_Placed", limit: float, upper: FloatArray | None = None) -> FloatArray:
         """The lower bounds (B,) of :meth:`least`; takes upper ones into ``upper`` where it is given."""
         lower = np.full(placed.rows, np.inf)
         boxes = self._near_boxes(placed, limit)
@@ -291,7 +289,7 @@ class Bounds:
         return sure
 
     def _all_apart(
-        self, placed: _Placed, row: IndexArray, first: IndexArray, second: IndexArray, room: FloatArray
+        self, placed: "_Placed", row: IndexArray, first: IndexArray, second: IndexArray, room: FloatArray
     ) -> BoolArray:
         """Whether all pairs (M,), by row, likely the nearest one of each first, are farther apart than
         ``room`` (M,) [m], as (B,)."""
@@ -318,7 +316,7 @@ class Bounds:
 
     def _near_pairs(
         self, poses: Mapping[str, FloatArray], limit: float
-    ) -> tuple[_Placed, IndexArray, IndexArray, IndexArray, FloatArray]:
+    ) -> "tuple[_Placed, IndexArray, IndexArray, IndexArray, FloatArray]":
         """The solids as they are placed; row, both solids and lower bound (M,) of pairs that may be nearer
         than ``limit``, by row, the least bound of each row first."""
         placed = self._placed(poses)
@@ -326,7 +324,7 @@ class Bounds:
         return placed, *self._pairs_within(placed, boxes, limit, np.ones(placed.rows, dtype=np.bool_))
 
     def _pairs_within(
-        self, placed: _Placed, boxes: _NearBox, limit: float, rows: BoolArray
+        self, placed: "_Placed", boxes: "_NearBox", limit: float, rows: BoolArray
     ) -> tuple[IndexArray, IndexArray, IndexArray, FloatArray]:
         """The pairs of :meth:`_near_pairs` in the ``rows`` (B,) named."""
         row, first, second = self._near(placed, limit, rows)
@@ -343,7 +341,7 @@ class Bounds:
 
     def _measured(
         self,
-        placed: _Placed,
+        placed: "_Placed",
         row: IndexArray,
         one: IndexArray,
         other: IndexArray,
@@ -353,7 +351,7 @@ class Bounds:
         first, second = (self._solid_poses(placed, row, which) for which in (one, other))
         return distances(self.cores, one, other, first, second, settled)
 
-    def _placed(self, poses: Mapping[str, FloatArray]) -> _Placed:
+    def _placed(self, poses: Mapping[str, FloatArray]) -> "_Placed":
         rows = max(len(pose) for pose in poses.values())
         both = np.empty((rows, 3, len(self.bodies), 4))
         for k, body in enumerate(self.bodies):
@@ -385,7 +383,7 @@ class Bounds:
         out[at, :3, 2 * solids + at], out[at, 3, 2 * solids + at] = self._balls[0], 1.0
         return out.reshape(4 * bodies, -1)
 
-    def _solid_poses(self, placed: _Placed, row: IndexArray, which: IndexArray) -> FloatArray:
+    def _solid_poses(self, placed: "_Placed", row: IndexArray, which: IndexArray) -> FloatArray:
         """World poses (M, 4, 4) of solids of ``given`` in rows (M,)."""
         body = np.zeros((len(row), 4, 4))
         body[:, 3, 3] = 1.0
@@ -397,7 +395,7 @@ class Bounds:
 
     def _between(
         self,
-        placed: _Placed,
+        placed: "_Placed",
         row: IndexArray,
         a: IndexArray,
         b: IndexArray,
@@ -410,7 +408,7 @@ class Bounds:
         return way, lengths(way) - size[1][a] - size[1][b]
 
     def _apart(
-        self, placed: _Placed, limit: float | FloatArray, row: IndexArray, a: IndexArray, b: IndexArray
+        self, placed: "_Placed", limit: float | FloatArray, row: IndexArray, a: IndexArray, b: IndexArray
     ) -> FloatArray:
         """Lower bounds (M,) of the distances of moving solids: of their outer capsules, and where these are
         nearer than ``limit``, of all or of each (M,), of their shadows."""
@@ -421,7 +419,7 @@ class Bounds:
 
     def _shadowed(
         self,
-        placed: _Placed,
+        placed: "_Placed",
         gap: FloatArray,
         way: FloatArray,
         row: IndexArray,
@@ -440,7 +438,7 @@ class Bounds:
     def _below_apart(
         self,
         lower: FloatArray,
-        placed: _Placed,
+        placed: "_Placed",
         limit: float,
         row: IndexArray,
         a: IndexArray,
@@ -463,7 +461,7 @@ class Bounds:
             np.minimum.at(lower, row[settled], value[settled])
 
     def _near(
-        self, placed: _Placed, limit: float, rows: BoolArray
+        self, placed: "_Placed", limit: float, rows: BoolArray
     ) -> tuple[IndexArray, IndexArray, IndexArray]:
         """Row and both capsules of the pairs whose bounding spheres come within ``limit``, in the rows
         named: of bodies whose own spheres do, which lie around those of their capsules."""
@@ -499,7 +497,7 @@ class Bounds:
         return middle, radius
 
     @functools.cached_property
-    def _body_pairs(self) -> _BodyPairs:
+    def _body_pairs(self) -> "_BodyPairs":
         """The pairs of capsules by their bodies."""
         body = self.part[self.pairs]
         code = body[:, 0] * len(self.bodies) + body[:, 1]
@@ -509,7 +507,7 @@ class Bounds:
         radius = self._balls[1] + ROUNDING_M
         return _BodyPairs(one, other, radius[one] + radius[other], start, count, order)
 
-    def _near_boxes(self, placed: _Placed, limit: float) -> _NearBox:
+    def _near_boxes(self, placed: "_Placed", limit: float) -> "_NearBox":
         """Pairs of capsules and boxes that come within ``limit`` by the capsules' spheres: first of rows that
         follow each other, which are mostly near each other, then of each."""
         count = len(self.boxes)
@@ -540,7 +538,7 @@ class Bounds:
         along = np.einsum("mc,mcd->md", axis[row, solid], turn[box])
         return _NearBox(row, solid, box, local[kept], along, self.half[box], apart[kept])
 
-    def _shadows(self, placed: _Placed, near: _NearBox) -> FloatArray:
+    def _shadows(self, placed: "_Placed", near: "_NearBox") -> FloatArray:
         """Lower bounds (M,) of distances of solids to boxes, as :func:`separation` has them: of a flat disc
         above a floor, where its capsule is a ball that reaches far into it."""
         pose = placed.fixed @ np.array([box.shape.pose for box in self.boxes]).reshape(-1, 4, 4)
@@ -551,7 +549,7 @@ class Bounds:
         w, gap = (np.einsum("mab,mb->ma", turn, v) for v in (near.place, off))
         return separation(w, gap, (one, self.support[near.solid]), (turn, half))
 
-    def _below(self, lower: FloatArray, placed: _Placed, near: _NearBox, limit: float) -> None:
+    def _below(self, lower: FloatArray, placed: "_Placed", near: "_NearBox", limit: float) -> None:
         """Takes lower bounds of the distances of solids to the boxes into ``lower`` (B,).
 
         Bounds are worked out as far as it takes to know the least of each row below ``limit``: of the capsule
@@ -579,17 +577,17 @@ class Bounds:
 
     @staticmethod
     def _still_open(
-        lower: FloatArray, near: _NearBox, low: FloatArray, ease: FloatArray, limit: float
-    ) -> tuple[_NearBox, FloatArray, FloatArray]:
+        lower: FloatArray, near: "_NearBox", low: FloatArray, ease: FloatArray, limit: float
+    ) -> "tuple[_NearBox, FloatArray, FloatArray]":
         """Pairs, with their bounds ``low`` and ``ease`` (M,), that may yet be the least of their row."""
         some = np.flatnonzero(low < np.minimum(lower, limit)[near.row])
         return near.some(some), low[some], ease[some]
 
-    def _box_ease(self, near: _NearBox) -> FloatArray:
+    def _box_ease(self, near: "_NearBox") -> FloatArray:
         """How much farther (M,) [m] from their boxes solids count than they are."""
         return self.ease[near.solid, near.box + len(self.solids)]
 
-    def _at_most(self, near: _NearBox) -> FloatArray:
+    def _at_most(self, near: "_NearBox") -> FloatArray:
         """Upper bounds (M,) of distances to boxes, of inner capsules; infinite to what only lies in a box."""
         out = np.full(len(near.row), np.inf)
         exact = np.flatnonzero(self.exact[near.box])
@@ -597,13 +595,13 @@ class Bounds:
         out[exact] = self._on_axis(some, self.inner[0]).min(axis=1) - self.inner[1][some.solid]
         return out
 
-    def _to_box(self, near: _NearBox) -> FloatArray:
+    def _to_box(self, near: "_NearBox") -> FloatArray:
         """Distances (M,) of outer capsules to boxes; only the sign tells of those that overlap."""
         nearest = nearest_to_box(near.place, near.along, self.outer[0][near.solid], near.half)
         value = _box(near.place + nearest[:, None] * near.along, near.half)
         return np.asarray(value - self.outer[1][near.solid])
 
-    def _along_axis(self, near: _NearBox) -> tuple[FloatArray, FloatArray]:
+    def _along_axis(self, near: "_NearBox") -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds (M,) of the distances of outer capsules to boxes by a few points of their
         axes: distance changes by the way at most."""
         value = self._on_axis(near, self.outer[0])
@@ -612,7 +610,7 @@ class Bounds:
         radius = self.outer[1][near.solid]
         return between.min(axis=1) - radius, value.min(axis=1) - radius
 
-    def _on_axis(self, near: _NearBox, length: FloatArray) -> FloatArray:
+    def _on_axis(self, near: "_NearBox", length: FloatArray) -> FloatArray:
         """Distances (M, SAMPLES) to the boxes of points along the axes, out to the half lengths ``length``
         (S,)."""
         t = length[near.solid][:, None] * np.linspace(-1.0, 1.0, AXIS_SAMPLES)
@@ -637,7 +635,7 @@ class _Placed:
         """Number of rows."""
         return len(self.turns)
 
-    def some(self, rows: IndexArray) -> _Placed:
+    def some(self, rows: IndexArray) -> "_Placed":
         """Some of the rows."""
         turns, places, centre, axis, ball = (
             array[rows] for array in (self.turns, self.places, self.centre, self.axis, self.ball)
@@ -672,7 +670,7 @@ class _NearBox:
     half: FloatArray
     apart: FloatArray
 
-    def some(self, chosen: IndexArray) -> _NearBox:
+    def some(self, chosen: IndexArray) -> "_NearBox":
         """Some of them."""
         return _NearBox(*(getattr(self, field.name)[chosen] for field in dataclasses.fields(self)))
 

@@ -7,8 +7,6 @@ from a flexible edge (a wire) that joins the tools to every body of the cell.
 Between bodies that a model's easing names, what counts is their distance and what they are eased by.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -130,7 +128,7 @@ def edge_free(
 def _near_spheres(
     solids: Sequence[Solid],
     poses: Mapping[str, FloatArray],
-    chains: Mapping[str, _Chain],
+    chains: "Mapping[str, _Chain]",
     flanges: Mapping[str, str],
     limit: float,
 ) -> BoolArray:

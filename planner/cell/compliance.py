@@ -6,8 +6,6 @@ Jacobian over the controller's axes, C = J diag(1 / k) J^T (Salisbury 1980, Acti
 manipulator, equation of stiffness, inverted).
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -10,8 +10,6 @@ v, v.w / |v| is a lower bound of the distance by convexity, |v| an upper one. Th
 both agree.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Forward kinematics of the catalogue's robots, batched, and frames of their links."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planner.catalogue.robots import ArmForm, RobotData

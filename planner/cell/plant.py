@@ -6,8 +6,6 @@ planner, proof and report have models of their own, as ever; the next job finds 
 one left it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools
@@ -173,7 +171,7 @@ class _Shared:
     bounds: Bounds
     parts: dict[frozenset[str], tuple[SolidPair, ...]] = dataclasses.field(default_factory=dict)
     placed: object | None = None
-    heights: dict[float, CellModel] = dataclasses.field(default_factory=dict)
+    heights: "dict[float, CellModel]" = dataclasses.field(default_factory=dict)
     eased: dict[Easing, Bounds] = dataclasses.field(default_factory=dict)
 
 
@@ -363,7 +361,7 @@ class CellModel:
             out["stock"] = out[f"{self.stock.held_by}/tool"] @ held
         return out
 
-    def with_stock(self, pose: FloatArray) -> CellModel:
+    def with_stock(self, pose: FloatArray) -> "CellModel":
         """The same cell with the stock (and its support) at another pose (4, 4) in the world; nothing is
         rebuilt but a pedestal of another height. A held stock stays in its holder's tool."""
         pose = np.array(pose, dtype=np.float64)
@@ -378,7 +376,7 @@ class CellModel:
         there = known[_height(pose)]
         return dataclasses.replace(there, stock_pose=pose, bases=self.bases, easing=self.easing)
 
-    def with_bases(self, bases: Mapping[str, FloatArray]) -> CellModel:
+    def with_bases(self, bases: Mapping[str, FloatArray]) -> "CellModel":
         """The same cell with the named arms' bases at other poses (4, 4) in the world; nothing is rebuilt."""
         return dataclasses.replace(self, bases={**self.bases, **bases})
 
@@ -387,7 +385,7 @@ class CellModel:
         """Whether a base stands elsewhere from row to row."""
         return any(base.ndim > 2 for base in self.bases.values())
 
-    def at_rows(self, rows: IndexArray | int) -> CellModel:
+    def at_rows(self, rows: IndexArray | int) -> "CellModel":
         """The model of some rows (K,) of what is asked, or of one alone, bases where they stand in these;
         itself where they stand in one place."""
         if not self.rides:
@@ -400,12 +398,12 @@ class CellModel:
         it."""
         return self.moved.get(name, np.eye(4))
 
-    def with_moved(self, motions: Mapping[str, FloatArray]) -> CellModel:
+    def with_moved(self, motions: Mapping[str, FloatArray]) -> "CellModel":
         """The same cell with what stands on the named axes moved by motions (4, 4) from where the cell has
         it; nothing is rebuilt."""
         return dataclasses.replace(self, moved={**self.moved, **motions})
 
-    def with_easing(self, easing: Easing) -> CellModel:
+    def with_easing(self, easing: Easing) -> "CellModel":
         """The same cell, in which pairs of bodies count as farther apart than they are."""
         return dataclasses.replace(self, easing=easing)
 

@@ -1,7 +1,5 @@
 """Which arms of a setup give way under what, and have it compensated, as claims: from the problem alone."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planner.claims.claim import ArmSags

@@ -1,7 +1,5 @@
 """Lower bounds of distances of solids by their shadows on lines: solids are no nearer than these."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planner.cell.bodies import Solid, extent

@@ -2,8 +2,6 @@
 that is made for it as high as its place wants it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final
@@ -34,7 +32,7 @@ class Ground:
     names: tuple[str, ...]
 
     @staticmethod
-    def of(cell: Cell) -> Ground:
+    def of(cell: Cell) -> "Ground":
         """The ground of a cell: its floor is level with the lowest base that stands upright, at most at 0; a
         track has its base at value 0 there, wherever it climbs or falls to."""
         upright = [float(_at_zero(arm)[2, 3]) for arm in cell.arms if arm.base[2, 2] > 0.5]

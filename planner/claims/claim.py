@@ -6,8 +6,6 @@ frame, in metres. This file has the base class and the kinds that several proces
 process are in ``processes/<name>/claims.py``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar, Final, Literal
@@ -119,7 +117,7 @@ class Claim:
         """Return the output that programs switch because of the claim."""
         return None
 
-    def tightened(self, allowance: Allowance) -> Claim:
+    def tightened(self, allowance: Allowance) -> "Claim":
         """Return the claim with so much less room that it holds on curves if it holds on straight moves."""
         return self
 
@@ -195,7 +193,7 @@ class FeedWindow(Claim):
     lower: float
     upper: float
 
-    def tightened(self, allowance: Allowance) -> FeedWindow:
+    def tightened(self, allowance: Allowance) -> "FeedWindow":
         """Return the window of the straight moves, on which the tool is slower than on curves."""
         return dataclasses.replace(self, upper=self.upper / allowance.faster)
 

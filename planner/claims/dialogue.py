@@ -1,7 +1,5 @@
 """Dialogue with the operator at stops: messages, questions and the figures in them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import ClassVar, Literal

@@ -1,7 +1,5 @@
 """A curve of a drawing, as a claim states it."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

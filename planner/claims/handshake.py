@@ -1,7 +1,5 @@
 """Signals and wires of the handshake between two controllers."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Literal

@@ -1,7 +1,5 @@
 """Segments of a path: their kinds, phases and names."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import re
@@ -40,22 +38,22 @@ class Segment:
         object.__setattr__(self, "kind", self.kind.lower())
 
     @staticmethod
-    def of(label: str) -> Segment:
+    def of(label: str) -> "Segment":
         """The segment that a user means: ``kind`` or ``kind/name``, whatever the name ends with."""
         kind, _, name = label.partition("/")
         return Segment(kind, name)
 
     @staticmethod
-    def read(label: str) -> Segment:
+    def read(label: str) -> "Segment":
         """The segment that has this label: the inverse of ``str``."""
         return _read(label)
 
-    def at(self, phase: Phase) -> Segment:
+    def at(self, phase: Phase) -> "Segment":
         """The segment of the same kind and name in another phase."""
         return Segment(self.kind, self.name, phase)
 
     @property
-    def ways(self) -> tuple[Segment, ...]:
+    def ways(self) -> "tuple[Segment, ...]":
         """The way in, the work and the way out, of the same kind and name."""
         return tuple(self.at(phase) for phase in PHASES)
 
@@ -65,7 +63,7 @@ class Segment:
         return self.kind in WORKING_KINDS
 
     @property
-    def folded(self) -> Segment:
+    def folded(self) -> "Segment":
         """The segment as programs can tell it: lower case, ASCII, single underscores for all other signs."""
         return _folded(self)
 

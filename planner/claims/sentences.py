@@ -8,8 +8,6 @@ Sentences of one process or language are in its ``sentences.py``.
 Lines of a message box have at most 55 characters, lines of the panel at most 40.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -1,7 +1,5 @@
 """``tandem element FILE -o OUT``: one building element into panels, each an ordinary problem of its own."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import time

@@ -4,8 +4,6 @@
 ``element.json``; ``jam_mm`` says how deep others are in its way, by which foam has to give.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence

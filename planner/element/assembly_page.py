@@ -1,8 +1,6 @@
 """The part of an element's page that shows how it is put up: in 3D, panel by panel along the ways in, and as
 a list. It is made of ``element.json`` alone."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cut drawings of nested blocks, as one SVG: panels' ids, cuts with their numbers, what is left over."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 from typing import Final

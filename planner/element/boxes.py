@@ -6,8 +6,6 @@ thickness. All parts between nodes of the wall that fit are known, since a part 
 of all divisions into the fewest, a dynamic programme finds that with the most even heights, by their squares.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Final

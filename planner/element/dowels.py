@@ -6,8 +6,6 @@ sides, and joints there get none, as those that have no room for holes. Holes be
 back, go ``depth`` into either panel, and keep ``cover`` of foam to faces, other sides and other holes.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

@@ -7,8 +7,6 @@ front and back, by a wire that is held safely there where one is. A panel that i
 that the check of its own problem refuses, is struck off the table, and the division is made anew.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Sequence
@@ -279,7 +277,7 @@ class _Fits:
         self._passed.add(place)
         return self._known[place] is not None
 
-    def led(self, who: _Following, panel: ElasticPanel, leads: tuple[Lead, ...]) -> ElasticPanel | None:
+    def led(self, who: "_Following", panel: ElasticPanel, leads: tuple[Lead, ...]) -> ElasticPanel | None:
         """A panel that follows others (`_panel`), each fitted once: ``who`` tells it by all that it
         follows."""
         known = who, panel.wire, panel.along

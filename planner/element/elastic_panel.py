@@ -1,7 +1,5 @@
 """A panel for the bent wire, and the joints at which several meet."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

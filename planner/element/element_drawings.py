@@ -1,8 +1,6 @@
 """Drawings of all panels of an element with their ids, as parts of its page: from the front, from behind, and
 laid flat."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Mapping, Sequence

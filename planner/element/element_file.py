@@ -4,8 +4,6 @@ Lengths are in mm. Faces are described as those of a part (`reading/part_surface
 cell.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
@@ -87,7 +85,7 @@ class SurfaceFile(FrontFile):
     plane: PlaneFile | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> SurfaceFile:
+    def _one(self) -> "SurfaceFile":
         if [self.loft, self.mesh, self.rhino, self.step, self.ruled].count(None) != 4:
             raise ValueError("give one of loft, mesh, rhino, step and ruled")
         if self.ruled is not None and self.plane is not None:
@@ -177,7 +175,7 @@ class PanelsFile(Strict):
     strips: StripPanelsFile | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> PanelsFile:
+    def _one_kind(self) -> "PanelsFile":
         if len(self._given) != 1:
             raise ValueError(f"give exactly one kind of panels, {', '.join(get_args(Kind))}")
         return self
@@ -321,7 +319,7 @@ class ElementFile(Strict):
     jobs: tuple[JobFile, ...] = Field(min_length=1, max_length=50)
 
     @model_validator(mode="after")
-    def _of_one_kind(self) -> ElementFile:
+    def _of_one_kind(self) -> "ElementFile":
         kind = self.panels.kind
         if kind == "elastic" and self.wires is None:
             raise ValueError("wires: elastic panels are cut by bent wires; give one")

@@ -6,8 +6,6 @@ and what was said of the element. The page is made of the data in ``element.json
 panels.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final

@@ -5,8 +5,6 @@ A wire that ends at a joint ends wherever it is asked to, so such a panel takes 
 wire lies along the joint. The neighbour stays as it is.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

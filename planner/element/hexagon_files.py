@@ -1,8 +1,6 @@
 """What a shell of hexagons leaves in a folder: problems, a table and a drawing of its panels, and all as
 data."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence

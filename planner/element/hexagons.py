@@ -13,8 +13,6 @@ along it. Then letters of ids are groups, and numbers in a group go by rows, by 
 shell from the first row.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Panels as ordinary problem files: ids by rows, a template for each, meshes of its two faces."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence

@@ -5,8 +5,6 @@ Surfaces that are meshes, and ruled walls, may have moved by next to nothing: ex
 their last decimals, and a division that is made anew from them would plan every panel anew.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import io

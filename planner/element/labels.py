@@ -5,8 +5,6 @@ labels fill a sheet of A4. Capitals are at least 5 mm high; what would overlap i
 is drawn smaller.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from html import escape
 from typing import Any, Final

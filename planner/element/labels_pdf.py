@@ -3,8 +3,6 @@
 Written as ISO 32000-1 has it, with Helvetica, which every reader has, and no compression.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ with the wire's weight and the ends of the interval weighted, so that panels mee
 fits of a wire are one batch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ Nothing here asks what kind of panels they are: a `PanelBlock` is a box with an 
 nested apart (`geometry/nesting.py`); what is left over of earlier elements is used first.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, Literal

@@ -1,7 +1,5 @@
 """What nested blocks leave in an element's folder: a table, cut drawings, the stock list, and data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 

@@ -1,8 +1,6 @@
 """What a divided element leaves in a folder: problems, a table and a drawing of its panels, and all of it as
 data."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import functools

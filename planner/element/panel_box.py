@@ -5,8 +5,6 @@ the direction of the sweep as far as it lies in that plane, x along the wire, wh
 upright planes of the joints as well.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

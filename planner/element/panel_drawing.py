@@ -1,7 +1,5 @@
 """The drawing of an element's panels by their outlines, with ids, the darker the farther they are off."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

@@ -5,8 +5,6 @@ joint have the same rim and the same side between front and back. What is moved 
 the element's z and so stays in the planes of the joints; how far tells the step at the joint.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -9,8 +9,6 @@ A job of a raw block may be marked as well: one that cuts panels together stands
 cuts the block apart has a row of its own, with the size of its part.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

@@ -11,8 +11,6 @@ along that direction, so they slide. Straight parts of a side turn from it to th
 pieces at a corner share; `Piece.jam` says what that leaves in the way.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """``element.3dm``: the bodies of ``element.obj`` for Rhino, with what is known of each panel."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -7,8 +7,6 @@ asked of the part: a slot on the side of the panel takes as much more of it as i
 block's own.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path

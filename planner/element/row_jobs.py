@@ -6,8 +6,6 @@ thickness. Then the operator stands the row on edge, and the wire, which spans t
 panel, the uppermost first and its top last, so that nothing drops before it is cut.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

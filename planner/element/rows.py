@@ -5,8 +5,6 @@ rulings along one line; then the operator stands the row on edge, and the wire g
 uppermost first. Here is which parts of a nest are rows, and why the others are none; `row_jobs` writes them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence

@@ -7,8 +7,6 @@ two that belong together is the joint's: its part along the surface's normal is 
 **gap**. Foam that gives way, and sides that another operation cuts, are not in it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -74,7 +72,7 @@ class CutPart:
     points: FloatArray
     normals: FloatArray
 
-    def moved(self, pose: FloatArray) -> CutPart:
+    def moved(self, pose: FloatArray) -> "CutPart":
         """The object in another frame, by its pose (4, 4) there."""
         return CutPart(transform(pose, self.points), self.normals @ pose[:3, :3].T)
 

@@ -1,8 +1,6 @@
 """Sections of an element's page that tell what became of it in a batch: robot hours, how far what is cut is
 off, and the joints. `element_page.py` has the page."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -5,8 +5,6 @@ values; `run_page.py` shows them.
 turning come on top.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import functools

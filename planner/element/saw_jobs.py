@@ -6,8 +6,6 @@ through its slot: nothing drops. Where the bow does not span a cut, the part sta
 its thickness and goes along the cut, the uppermost cut first, so that what rests on a slot is not cut again.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final

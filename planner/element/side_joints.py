@@ -7,8 +7,6 @@ which are those of the blocks, one edge may stand higher than the other along th
 **step**.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping
@@ -109,7 +107,7 @@ class _Frame:
     high: float
 
     @staticmethod
-    def of(back: FloatArray, front: FloatArray, i: int) -> _Frame:
+    def of(back: FloatArray, front: FloatArray, i: int) -> "_Frame":
         k = (i + 1) % len(back)
         along = unit(back[k] - back[i])
         normal = unit(np.cross(along, 0.5 * (front[i] + front[k]) - back[i]))

@@ -1,7 +1,5 @@
 """The list of foam that is left over, `stock.csv`: read, checked row by row, and written again."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

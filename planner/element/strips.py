@@ -7,8 +7,6 @@ with the most even widths. Where neighbours meet, both end on the plane half-way
 their backs have the line behind the joint in common.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence

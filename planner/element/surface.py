@@ -6,8 +6,6 @@ by upright planes of this frame, so a joint is a plane curve. The surface must s
 once.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -1,7 +1,5 @@
 """How ruled walls and ruled strips are put up: the bodies of their panels, and the order of these."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

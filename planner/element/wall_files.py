@@ -1,8 +1,6 @@
 """What a ruled wall in boxes or puzzle pieces, or a surface in ruled strips, leaves in a folder: problems, a
 table and a drawing of its panels, and all as data."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Sequence

@@ -6,8 +6,6 @@ go on beyond one another. How far both sides are apart across the joint is the *
 are apart on its front line, and both backs on its back line, along what is between these lines, the **step**.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence

@@ -8,8 +8,6 @@ Its block stands level under it: x along its middle ruling, z such that the piec
 as much foam above as below.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The kinds ``boxes`` and ``puzzle``: a ruled wall divided, its panels in blocks and numbered, or why not."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ over a short axis. Rigid motions: exponential and logarithm, frames, Euler angle
 Rigid shapes: boxes, round bodies and meshes, of which tools, obstacles and fixtures are made.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -8,8 +8,6 @@ the half spaces of the sides there. Its middle, the direction that is farthest f
 neighbour without a way in waits until that one stands, if that rests on something already.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -9,8 +9,6 @@ allows. Its angles are plain numbers over the whole surface, so it has no singul
 Coordinates u and v then follow the field: lines of v run along a, those of u along b.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

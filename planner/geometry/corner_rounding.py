@@ -6,8 +6,6 @@ writers of programs: the speed that changes at a corner changes while that is ro
 zones want slow corners.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

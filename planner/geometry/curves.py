@@ -12,8 +12,6 @@ Guides are dense points with their corners, from polylines and splines. Outlines
 through a plate: which lies in which, and what is wrong with them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

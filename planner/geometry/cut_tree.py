@@ -6,8 +6,6 @@ first cut parts the block, then each of the two parts is cut apart in turn, the 
 tree, depth first, so that what is cut next is always one part in one place.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Collection, Iterator, Sequence
 
@@ -41,7 +39,7 @@ class CutTree:
 
     parts: tuple[Part, ...]
 
-    def cuts(self) -> tuple[Cut, ...]:
+    def cuts(self) -> "tuple[Cut, ...]":
         """All cuts in their order."""
         return tuple(self._cut(part) for part in self.parts if part.axis is not None)
 
@@ -62,7 +60,7 @@ class CutTree:
             waiting += [k for k in (self.parts[i].high, self.parts[i].low) if k is not None]
         return tuple(out)
 
-    def with_boxes(self, numbers: Sequence[int], swapped: Sequence[bool]) -> CutTree:
+    def with_boxes(self, numbers: Sequence[int], swapped: Sequence[bool]) -> "CutTree":
         """The tree with ``numbers`` for its boxes 0, 1 ..., some of them ``swapped``: length and width of
         these are the other way round."""
         parts = [
@@ -73,7 +71,7 @@ class CutTree:
         ]
         return CutTree(tuple(parts))
 
-    def left_whole(self, parts: Collection[int]) -> CutTree:
+    def left_whole(self, parts: Collection[int]) -> "CutTree":
         """The tree in which the parts with these numbers, none of them in another, are not cut apart."""
         inner = {k for i in parts for k in self.below(i)[1:]}
         numbers = {i: n for n, i in enumerate(i for i in range(len(self.parts)) if i not in inner)}
@@ -87,7 +85,7 @@ class CutTree:
             out.append(dataclasses.replace(part, low=low, high=high))
         return CutTree(tuple(out))
 
-    def stages(self, together: Callable[[Stage], bool]) -> tuple[Stage, ...]:
+    def stages(self, together: "Callable[[Stage], bool]") -> "tuple[Stage, ...]":
         """What is cut while it lies in one place: parts in the order of the tree, each with all cuts along
         one axis that go through the whole of it, where ``together`` says that these are made side by side,
         else with the first of them alone."""
@@ -107,7 +105,7 @@ class CutTree:
             waiting += reversed(pieces)
         return tuple(out)
 
-    def _stage(self, first: int, numbers: dict[int, int]) -> tuple[Stage, list[int]]:
+    def _stage(self, first: int, numbers: dict[int, int]) -> "tuple[Stage, list[int]]":
         """All cuts side by side in a part, and what they leave of it, both from its lower end on."""
         cuts: list[tuple[int, Cut]] = []
         pieces: list[int] = []
@@ -126,7 +124,7 @@ class CutTree:
         walk(first)
         return Stage(self.parts[first], tuple(cuts)), pieces
 
-    def _cut(self, part: Part) -> Cut:
+    def _cut(self, part: Part) -> "Cut":
         sizes = [
             0.0 if i is None else (self.parts[i].length, self.parts[i].width)[part.axis or 0]
             for i in (part.low, part.high)

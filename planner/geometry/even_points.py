@@ -6,8 +6,6 @@ cut fine, and hangs together. Ties of symmetric surfaces are broken by a fixed n
 that rounding of the mesh decides nothing.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -6,8 +6,6 @@ rim has no partner and gets a plane of its own: square to its panel, upright, or
 on the ground.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final, Literal
 

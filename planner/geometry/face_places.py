@@ -1,7 +1,5 @@
 """Places on the faces of a mesh, and points above a face."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -5,8 +5,6 @@ is at most quadratic in them, so that a few rounds of sparse Gauss-Newton find i
 Form-finding with polyhedral meshes made simple, ACM TOG 33, 2014). Lengths are in spacings while it works.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

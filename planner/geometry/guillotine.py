@@ -7,8 +7,6 @@ Gomory, Oper. Res. 14, 1966, on the same recursion for stock cutting). All recta
 once; there are n^2 m^2 / 4 of them and each looks at n + m cuts.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Boxes in lines: blocks in which those of a line lie behind one another, so that one straight wire may pass
 all of them on one way; through cuts part the lines, then what is in them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any, Final

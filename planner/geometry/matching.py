@@ -15,8 +15,6 @@ programming on a grid and then moved off the grid by Gauss-Newton steps. A devel
 = 0 all along.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final, Literal
 

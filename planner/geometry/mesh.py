@@ -4,8 +4,6 @@ A wanted surface must be finite, open, one piece and oriented. What a faceted fa
 for closest places: small pieces, normals that are smooth except over creases.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Final

@@ -4,8 +4,6 @@ GLB is binary glTF 2.0 (Khronos; ISO/IEC 12113): lengths in metres, y up. 3MF is
 Format, core specification 1.3: a ZIP of XML that states its unit, z up.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import json

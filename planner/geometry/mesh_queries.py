@@ -4,8 +4,6 @@ Distances are those that deviations are measured by; sections are ordered polyli
 few corners, so that parts with many facets are held apart by it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

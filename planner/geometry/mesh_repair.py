@@ -15,8 +15,6 @@ counted less and less, so that folds stay folds. The bending energy of hinges is
 al., A quadratic bending model for inextensible surfaces, SGP 2006.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import pairwise
 from typing import Final

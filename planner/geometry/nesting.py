@@ -9,8 +9,6 @@ blocks, or fills them less evenly, which empties some (E. Falkenauer, J. Heurist
 squares of fill). Work is bounded by rectangles looked at, so results depend on no clock.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import random

@@ -4,8 +4,6 @@ Knots are whole (order + control points many), control points homogeneous: (w x,
 and Tiller, The NURBS Book, 1997, ch. 4). Values by scipy's B-splines, divided by their weights.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

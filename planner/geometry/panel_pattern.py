@@ -4,8 +4,6 @@ Three cells meet at a knot, two at a knot on the rim, and one has a corner of th
 of its knots. Every inner knot belongs to three panels, whose planes make it one point.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final

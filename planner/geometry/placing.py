@@ -3,8 +3,6 @@
 A part of faces lies front up, its long side along the block's, with least height.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """A surface divided into an asked number of thick planar panels, and what the panels came out as."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final, Literal

@@ -1,7 +1,5 @@
 """Polylines: sharp corners, and fewer points within a tolerance."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

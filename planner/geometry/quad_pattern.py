@@ -8,8 +8,6 @@ the fewest corners to move: each panel of the grid counts, so a surface whose ri
 rows, and the count is the nearest product.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final

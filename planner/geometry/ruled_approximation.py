@@ -9,8 +9,6 @@ Rulings are found by what they leave between themselves and the surface. Strips 
 neighbouring curves of one family of parameter lines.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A ruled surface as a function of the way along it and the share along its rulings, with its normals."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -5,8 +5,6 @@ straight wire sweeps whose ends both go straight and evenly. Also the ruled surf
 edges of a part's front and back face, and the boundaries of meshes that it is made of.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final

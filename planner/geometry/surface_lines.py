@@ -4,8 +4,6 @@ Smoothing is by cubic splines of least squares with even knots, so facets of a m
 edges. Strips side by side have mitres: both end on the plane half-way between their normals.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

@@ -11,8 +11,6 @@ there is b to within f = |(q_k - m) u| + w c + l c c / 2, with c = |a_k - u|, an
 axis by r - f |g| - d - l e at least.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Final

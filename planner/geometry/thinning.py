@@ -1,7 +1,5 @@
 """Meshes with fewer triangles, for pictures: neighbouring vertices become one."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -9,8 +9,6 @@ enough, without a cost to be least, which is found or excluded sooner; exactly s
 block can always be spread over more. Nodes of the search are bounded, not its time.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

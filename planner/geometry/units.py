@@ -1,7 +1,5 @@
 """Conversions between the units of files and messages (mm, deg) and those inside (m, rad)."""
 
-from __future__ import annotations
-
 import math
 from typing import Final, TypedDict
 

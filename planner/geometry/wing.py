@@ -20,8 +20,6 @@ leading edge is at the origin. Sections stand in planes of constant y and are jo
 tip is turned about its quarter-chord point.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

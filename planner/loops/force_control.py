@@ -21,8 +21,6 @@ an error of v_n / Ki: the integral of the error makes the speed.
 (1 - share) / (1 - share r) stays (F = Kc (d + share F / k_f) for a step d). It wants r < 1.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Final

@@ -1,7 +1,5 @@
 """gamma and q of a pass, level by level, against the border beyond which its loop does not settle."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, Final
 

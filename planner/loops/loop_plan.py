@@ -5,8 +5,6 @@ springback over force of the sheet as formed so far, and the force that is expec
 PROBLEM --curves FILE`` writes the file (JSON, lengths in mm, forces in N); the digest says of which problem.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -112,7 +110,7 @@ class PointFile(Strict):
     expected_n: Force
 
     @model_validator(mode="after")
-    def _grows(self) -> PointFile:
+    def _grows(self) -> "PointFile":
         if len(self.forces_n) != len(self.springback_mm):
             raise ValueError(f"{len(self.forces_n)} forces, but {len(self.springback_mm)} springback_mm")
         for name, values in (("forces_n", self.forces_n), ("springback_mm", self.springback_mm)):
@@ -129,7 +127,7 @@ class LevelFile(Strict):
     points: Annotated[list[PointFile], Field(min_length=1, max_length=10_000)]
 
     @model_validator(mode="after")
-    def _on_path(self) -> LevelFile:
+    def _on_path(self) -> "LevelFile":
         places = [point.place for point in self.points]
         if places[-1] >= len(self.path_mm) or any(b <= a for a, b in itertools.pairwise(places)):
             raise ValueError(f"points: places have to rise, and be below {len(self.path_mm)}")

@@ -4,8 +4,6 @@ Stiffness, bandwidth and delay of arms are the user's: no robot of the catalogue
 claimed without this file.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

@@ -14,8 +14,6 @@ tool, which shows S itself, measures it: kappa. The gain of the loop against its
 Pure functions. Arrays of forces may have leading axes (...): sheets that are corrected each by itself.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

@@ -12,8 +12,6 @@ of the plant's file. Each sheet draws its thickness, clamp, force and stiffness 
 scallops of a ball grow with the square of the step, and force with their 0.09th power (m = 0.18).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -51,7 +49,7 @@ class CurveFile(Strict):
     springback_mm: Annotated[list[Annotated[float, Field(gt=0, le=1000)]], Field(min_length=1, max_length=50)]
 
     @model_validator(mode="after")
-    def _grows(self) -> CurveFile:
+    def _grows(self) -> "CurveFile":
         if len(self.forces_n) != len(self.springback_mm):
             raise ValueError(f"{len(self.forces_n)} forces_n, but {len(self.springback_mm)} springback_mm")
         for row in (self.forces_n, self.springback_mm):
@@ -92,7 +90,7 @@ class PlantFile(Strict):
     lift_noise_mm: Annotated[float, Field(ge=0, le=1)] = 0.02
 
     @model_validator(mode="after")
-    def _one_truth(self) -> PlantFile:
+    def _one_truth(self) -> "PlantFile":
         if (self.sheet is None) == (self.curves is None):
             raise ValueError("give one of sheet and curves")
         for name in ("thickness", "border_n_mm2", "springback", "compensated"):

@@ -1,7 +1,5 @@
 """A loop from level to level, run against a plant: what is left of springback on many sheets at once."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

@@ -18,8 +18,6 @@ loop settles where all roots of that recursion lie within the unit circle. With 
 rule "model" the product of its two roots is (gamma (1 - w) + q gamma w) / (1 + gamma), and the others stay
 within: so the border is q = 1 + 1 / (gamma w). A force that is held is that rule with w = 1."""
 
-from __future__ import annotations
-
 from typing import Final, Literal
 
 import numpy as np

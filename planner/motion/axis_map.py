@@ -9,8 +9,6 @@ Freedoms are those of the targets, and three more for a block that stands: the w
 along the axes of the world.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence

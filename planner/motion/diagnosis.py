@@ -1,7 +1,5 @@
 """Says why there is no path: the targets, joints or bodies in the way, and what is free around them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

@@ -6,8 +6,6 @@ a fault where the search of a path, asked for this target alone, finds none eith
 What lies between targets, and whether one configuration goes through all of them, only a whole check knows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Sequence

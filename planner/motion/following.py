@@ -5,8 +5,6 @@ chosen. Where that has corners, at the ends of the range and where the tool turn
 the tool's way; what is left of them the clock has as it has those of joints.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Collection
 from typing import Final

@@ -5,8 +5,6 @@ What is taken over is looked at as anything else is: margins, clearance, moves b
 not hold, the whole search follows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
@@ -94,7 +92,7 @@ class Former:
         found = self.plan.metrics.get(f"{name}_score_deg")
         return float(found) if isinstance(found, int | float) else None
 
-    def path(self, index: int) -> FormerPath:
+    def path(self, index: int) -> "FormerPath":
         """The path of an operation."""
         return FormerPath(self.problem.name, self.plan.operations[index])
 

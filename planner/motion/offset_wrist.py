@@ -15,8 +15,6 @@ counts them, nearest to the wrist's centre line first; it is no property of an a
 followed from posture to posture by :func:`followed`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
@@ -63,7 +61,7 @@ class _Condition:
         self.foot = (pose[:, :3, 3] - form.c4 * pose[:, :3, 2] - np.array([0.0, 0.0, form.c1])).T[..., None]
         self.forearm = float(np.hypot(form.a2, form.c3))
 
-    def of(self, rows: IndexArray) -> _Condition:
+    def of(self, rows: IndexArray) -> "_Condition":
         """That at some of the poses, which may come more than once."""
         some = object.__new__(_Condition)
         some.form, some.forearm = self.form, self.forearm

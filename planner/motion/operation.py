@@ -1,7 +1,5 @@
 """Motion of one operation: reach, ladder, trajectory optimisation, timing, and the way in and out."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import time

@@ -5,8 +5,6 @@ So that one figure can be asked for everywhere, pairs of one arm count as farthe
 (:class:`planner.cell.bodies.Easing`); what people are told are true distances, each with its own limit.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import Final
 

@@ -2,8 +2,6 @@
 postures on the best choice of branches, and how many of them have a free posture.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Final

@@ -7,8 +7,6 @@ clamp by, are refined from the best ones on and go before them where they cost n
 is sorted out afterwards on the best ones.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
@@ -123,7 +121,7 @@ class Trace:
     score: FloatArray
     freest: tuple[tuple[float, Place], ...] = ()
 
-    def with_more(self, more: Trace) -> Trace:
+    def with_more(self, more: "Trace") -> "Trace":
         """These candidates with ``more`` behind them."""
         positions = np.concatenate([self.positions, more.positions])
         score = np.concatenate([self.score, more.score])

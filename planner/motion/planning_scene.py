@@ -9,8 +9,6 @@ rates. The inverse is that of the arm's form: :mod:`planner.motion.spherical_wri
 collision model.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -93,7 +91,7 @@ class Chain:
     home: FloatArray
 
     @staticmethod
-    def of(arm: Arm, base: FloatArray | None = None) -> Chain:
+    def of(arm: Arm, base: FloatArray | None = None) -> "Chain":
         """The chain of an arm of a cell, at another base when one is given."""
         return Chain(arm.name, arm.data, arm.base if base is None else base, arm.tool.tcp, arm.home)
 
@@ -329,7 +327,7 @@ class Scene:
         settings: Settings,
         model: CellModel | None = None,
         bases: Mapping[str, FloatArray] | None = None,
-    ) -> Scene:
+    ) -> "Scene":
         """The scene of the named arms of a cell; ``bases`` replaces base poses."""
         moved = bases or {}
         chains = {name: Chain.of(cell.arm(name), moved.get(name)) for name in arms}
@@ -383,7 +381,7 @@ class Scene:
             bases[arm][:, :3, 3] += gone
         return self.model.with_bases(bases)
 
-    def standing(self, targets: Targets, row: int) -> Scene:
+    def standing(self, targets: Targets, row: int) -> "Scene":
         """The scene whose bases, chains too, stand where they are at a target; itself where none rides."""
         if not targets.ride:
             return self

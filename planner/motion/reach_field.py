@@ -8,8 +8,6 @@ use. Bodies are not held apart: what is red has no posture there among these, wh
 something.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Final

@@ -4,8 +4,6 @@ An obstacle, the stock or a base is moved, or an arm gets another home posture. 
 that helps is told; where none does, so is that.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Sequence

@@ -5,8 +5,6 @@ Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path pl
 the same question has the same answer.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -114,16 +112,16 @@ class Places:
     move: IndexArray
     share: FloatArray
 
-    def and_also(self, other: Places) -> Places:
+    def and_also(self, other: "Places") -> "Places":
         """These and the other ones."""
         return Places(np.append(self.move, other.move), np.append(self.share, other.share))
 
-    def thinned(self, count: int) -> Places:
+    def thinned(self, count: int) -> "Places":
         """At most so many of them, evenly."""
         some = np.unique(np.linspace(0, len(self.move) - 1, min(count, len(self.move))).astype(np.intp))
         return self.at(some)
 
-    def at(self, some: IndexArray) -> Places:
+    def at(self, some: IndexArray) -> "Places":
         """Some of them, perhaps more than once."""
         return Places(self.move[some], self.share[some])
 
@@ -191,11 +189,11 @@ class _Pieces:
     low: FloatArray
     high: FloatArray
 
-    def at(self, some: IndexArray) -> _Pieces:
+    def at(self, some: IndexArray) -> "_Pieces":
         """Some of them."""
         return _Pieces(self.move[some], self.low[some], self.high[some])
 
-    def halves(self) -> _Pieces:
+    def halves(self) -> "_Pieces":
         """The first halves of all, then the second ones."""
         middle = 0.5 * (self.low + self.high)
         return _Pieces(np.tile(self.move, 2), np.append(self.low, middle), np.append(middle, self.high))

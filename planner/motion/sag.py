@@ -8,8 +8,6 @@ at the first one; a force may turn with the feed. From target to target the comm
 Between targets the sag itself is not quite even: what that leaves is measured in the middle of moves.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Final

@@ -13,8 +13,6 @@ axes 1 and 3 in line; axis 4 across axis 6, where both solutions of theta 6 are 
 be moved there, but no path at which the last joint is a freedom goes through.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

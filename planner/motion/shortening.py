@@ -5,8 +5,6 @@ planning with sequential convex optimization and convex collision checking", IJR
 quadratic programs by Drake's `MathematicalProgram`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any, Final
@@ -185,7 +183,7 @@ class _Rows:
     slope: sparse.csr_matrix
     least: FloatArray
 
-    def and_also(self, other: _Rows) -> _Rows:
+    def and_also(self, other: "_Rows") -> "_Rows":
         """These and the other ones."""
         return _Rows(
             np.append(self.move, other.move),

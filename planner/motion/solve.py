@@ -4,8 +4,6 @@ Where the controller goes by spline blocks (``controller: {path: spline}``), the
 for them: the curve between two targets is known within bounds only, and the proof takes these off.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -255,7 +253,7 @@ class Stand:
         stock = self.setups[0].stock
         return stock.place if stock.place is not None else from_parts(stock.attitude, np.zeros(3))
 
-    def based(self, bases: Mapping[str, FloatArray]) -> Stand:
+    def based(self, bases: Mapping[str, FloatArray]) -> "Stand":
         """The same with the arms on given bases, which stay."""
 
         def cell(setup: Setup) -> Cell:
@@ -369,7 +367,7 @@ def _begun(
     bases: Mapping[str, FloatArray],
     executor: Executor,
     former: Former | None,
-) -> dict[int, Iterator[_Settled | _Refused]]:
+) -> "dict[int, Iterator[_Settled | _Refused]]":
     """The stands behind the first one, by the number of their first setup, the last one begun first: whoever
     waits for them takes up the next one. Empty where bases are to be found first."""
     if any(arm.base_auto for stand in stands for setup in stand.setups for arm in setup.cell.arms):

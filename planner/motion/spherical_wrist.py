@@ -6,8 +6,6 @@ branch of a thousand poses costs about half a millisecond, so that an optimiser 
 step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ there before the first target; what is chosen is its law's offset, the best firs
 Values of an axis are a grid over its range. What stood somewhere before stays if the work is as good there;
 else it goes the least way to where the margin is. The first place with a path that is free is taken."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -337,7 +335,7 @@ class _StationSearch:
         """The setup of the operation."""
         return self.problem.setup_of(self.index)
 
-    def with_axes_at(self, at: Mapping[str, float]) -> _StationSearch:
+    def with_axes_at(self, at: Mapping[str, float]) -> "_StationSearch":
         """Return this search with all axes ``at`` other values."""
         problem = self.problem.stationed({**self.problem.stations, self.index: at})
         return dataclasses.replace(self, problem=problem, at=at)

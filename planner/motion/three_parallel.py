@@ -10,8 +10,6 @@ they turn is certain: theta 6 is taken as 0. Where the elbow is stretched or fol
 are one, and so are those of the shoulder where the point above lies beside axis 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

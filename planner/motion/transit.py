@@ -1,8 +1,6 @@
 """Transit between cuts of tools that are joined: where its straight way would collide it gets another one,
 which keeps their relative pose."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping

@@ -6,8 +6,6 @@ no farther and faster. Ways are free of everything at and between all places; of
 are moved until they are shorter.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -85,7 +83,7 @@ class BothWays:
         self._former = None if former is None else (former[0], _backwards(former[1]))
         self._first = self._begun(tuple(ends), executor)
 
-    def _begun(self, order: tuple[str, ...], executor: Executor) -> list[Iterator[Ways | _Stuck]]:
+    def _begun(self, order: tuple[str, ...], executor: Executor) -> "list[Iterator[Ways | _Stuck]]":
         """The ways in and out; of two that wait, whoever asks works out the one in beside the other."""
         scenes = [dataclasses.replace(scene) for scene in self._scenes]  # without what they have kept
         goals = [{arm: q[row] for arm, q in self.ends.items()} for row in (0, 1)]
@@ -186,7 +184,7 @@ def _carried(way: FloatArray, start: FloatArray, goal: FloatArray) -> FloatArray
     return np.asarray(out)
 
 
-def _mended(moving: _Moving, way: FloatArray) -> FloatArray | None:
+def _mended(moving: "_Moving", way: FloatArray) -> FloatArray | None:
     """The way (M, D) if it is free, else one nearby that is, and no longer; None where there is none."""
     if not len(moving.blocked(way, False).move):
         return way

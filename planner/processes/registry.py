@@ -5,8 +5,6 @@ for that is imported where a problem first asks for it. For the plug-in point se
 :mod:`planner.runtime.plugins`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Texts that operators see: how sentences and figures are written on a panel."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -6,8 +6,6 @@ may move, so that no order of events depends on chance. Two controllers that mee
 in the same way: a stage is what happens between their meetings.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePosixPath

@@ -4,8 +4,6 @@ The language of an arm is the one that lists the family of the arm's controller
 (:class:`planner.runtime.plugins.Language`). Readers are imported on first use.
 """
 
-from __future__ import annotations
-
 import enum
 import functools
 import re

@@ -4,8 +4,6 @@ behind it.
 Here nothing is refused and nothing is proven: :mod:`planner.proof.partial` says what of the moves is.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

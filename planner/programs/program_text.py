@@ -1,7 +1,5 @@
 """Text of a task, as all languages have it."""
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Mapping
 from typing import ClassVar, Final, NamedTuple

@@ -1,14 +1,12 @@
 """Signals of a controller by their numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from planner.problem import Arm, Problem
 
 
-def krl_signals(problem: Problem, arm: Arm) -> Signals:
+def krl_signals(problem: Problem, arm: Arm) -> "Signals":
     """Names of the inputs and outputs of a KUKA or UR controller by number, as the cell states them; inputs
     are those of a handshake and those that operations wait for. A number that two names of one kind share has
     both for a name: which one is meant is not known."""

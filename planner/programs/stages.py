@@ -1,7 +1,5 @@
 """Stages of a job: what happens between two synchronisation points."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence

@@ -6,8 +6,6 @@ the rules see nothing else. `Fault` is what is wrong with a program text, whatev
 `letters` makes texts comparable as operators read them.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ marks of KRL state the segment that a program runs. The files that a result fold
 the first digits of the SHA-256 of their content.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import re

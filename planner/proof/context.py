@@ -3,8 +3,6 @@
 Derived values are computed on first use and kept.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Collection, Mapping
@@ -75,7 +73,7 @@ class Context:
             "kept": {},
         }
 
-    def replaced(self, problem: Problem | None = None, claims: Claims | None = None) -> Context:
+    def replaced(self, problem: Problem | None = None, claims: Claims | None = None) -> "Context":
         """Return the context of the same programs for another problem or other claims.
 
         The text is not read again. Lasting facts go along.
@@ -95,19 +93,19 @@ class Context:
 
     # ---- facts ----
 
-    def get(self, fact: Fact[Context, T]) -> T:
+    def get(self, fact: "Fact[Context, T]") -> T:
         """Return a fact. Build it if this is its first use."""
         return self._facts.get(fact, self)
 
-    def put(self, fact: Fact[Context, T], value: T) -> None:
+    def put(self, fact: "Fact[Context, T]", value: T) -> None:
         """State a fact that was built elsewhere."""
         self._facts.put(fact, value)
 
-    def has(self, fact: Fact[Context, Any]) -> bool:
+    def has(self, fact: "Fact[Context, Any]") -> bool:
         """Return whether a fact has been built."""
         return fact in self._facts
 
-    def release(self, fact: Fact[Context, Any]) -> None:
+    def release(self, fact: "Fact[Context, Any]") -> None:
         """Drop a fact, so that its memory becomes free."""
         self._facts.release(fact)
 

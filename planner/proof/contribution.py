@@ -1,7 +1,5 @@
 """What processes and languages contribute to the proof."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any

@@ -6,8 +6,6 @@ sentence and its figures. If the problem leaves open what is mounted, the progra
 must be shown one of the allowed items, and everything else is proven for that item.
 """
 
-from __future__ import annotations
-
 import bisect
 import dataclasses
 import functools

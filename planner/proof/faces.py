@@ -1,7 +1,5 @@
 """Areas and normals of triangles, and triangles divided into smaller ones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray

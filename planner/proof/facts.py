@@ -4,8 +4,6 @@
 >>> tracks = context.get(TRACKS)  # in a rule: built once, typed
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
@@ -55,7 +53,7 @@ class Facts(Generic[Subject]):
         """Drop a fact, so that its memory becomes free."""
         self._values.pop(fact.name, None)
 
-    def lasting(self) -> Facts[Subject]:
+    def lasting(self) -> "Facts[Subject]":
         """Return only the facts that are marked as ``lasting``."""
         out: Facts[Subject] = Facts()
         for name, fact in self._facts.items():

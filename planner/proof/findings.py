@@ -1,7 +1,5 @@
 """What a rule finds while it examines programs: its issues, and the worst value with its place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

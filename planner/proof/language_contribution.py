@@ -5,8 +5,6 @@ task for that part by its code (:func:`checked`). The languages are found by :mo
 so that the proof imports none of them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import operator

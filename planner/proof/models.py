@@ -1,7 +1,5 @@
 """Models of the cell as the programs have it, setup by setup."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
@@ -37,7 +35,7 @@ class Standing:
     axes: tuple[Mapping[str, float], ...]
 
     @staticmethod
-    def of(context: Context) -> Standing:
+    def of(context: Context) -> "Standing":
         """Read it from the programs."""
         return Standing(context.places, context.bases_by_setup, context.tilts, context.stands)
 

@@ -6,8 +6,6 @@ tool, clearance to the cell and to other arms at home. Nothing is said of signal
 the other arms do meanwhile.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

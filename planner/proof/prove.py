@@ -6,8 +6,6 @@ does not hold. Nothing may be claimed that no rule proves, because a reader of t
 proven.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Rules of the proof: their outcome, their registration, and issues at steps and samples."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -7,8 +7,6 @@ A rule may rely on the rules before it. Where a fault leaves the rules of a stag
 stage and those after it do not run, and the proof does not hold (:mod:`planner.proof.prove`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final, Literal
 

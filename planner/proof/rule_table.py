@@ -1,7 +1,5 @@
 """All rules in their order: those that hold for any motion, and those of processes and languages."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Collection, Iterable, Mapping
 from typing import Final

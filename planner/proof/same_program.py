@@ -1,7 +1,5 @@
 """Comparison of programs: whether they differ in comments and white space at most."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from planner.proof.language_contribution import of_file

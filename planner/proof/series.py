@@ -1,7 +1,5 @@
 """Curves over the motion, for report and replay."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

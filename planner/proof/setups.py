@@ -1,7 +1,5 @@
 """Setups as the text has them, and the claims that hold in each."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 

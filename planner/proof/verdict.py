@@ -4,8 +4,6 @@ The margins are written into the headers of programs. :mod:`planner.proof.same_p
 changes nothing else.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any

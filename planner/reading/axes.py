@@ -2,8 +2,6 @@
 Those under an arm are in :mod:`planner.reading.rails`. Turntables that turn while an arm works are not
 written yet."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

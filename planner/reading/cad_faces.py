@@ -1,7 +1,5 @@
 """What becomes of a NURBS face of a CAD file, whatever program wrote it: rails and rulings, or facets."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Final

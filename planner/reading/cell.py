@@ -1,7 +1,5 @@
 """The cell part of a problem file: its schema in mm and degrees, and its conversion to values in SI units."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal

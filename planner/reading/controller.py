@@ -4,8 +4,6 @@ Signals are of one use each, names fit what the controller allows, and options t
 there.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Final, Literal

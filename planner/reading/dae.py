@@ -5,8 +5,6 @@ its nodes; its up axis is not looked at, as ROS's viewers do not. Lines, texture
 out.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Curves of drawings, joined where their ends meet: DXF files, by ``ezdxf`` of the extra ``cad``."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """All curves of a file, which an operation follows one by one: of a DXF drawing or of a Rhino file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -59,7 +57,7 @@ class DrawingFile(Strict):
             raise ValueError("name and colour are of objects of Rhino files; choose by layers")
         return self
 
-    def looked_up(self, folder: Path) -> DrawingFile:
+    def looked_up(self, folder: Path) -> "DrawingFile":
         """The same, named from anywhere."""
         return self.model_copy(update={"file": str(folder / self.file)})
 

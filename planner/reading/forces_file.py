@@ -6,8 +6,6 @@ force along z, positive where the tool presses into the sheet, of both tools tog
 there: how far the sheet came back. ``pass``: the name of the pass, where there are several.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import itertools

@@ -6,8 +6,6 @@ it holds the block firmly enough and the arm carries both. The one that is mount
 middle of the block; else the firmest one is taken, as near below the middle of the part as it can be.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Collection, Sequence
@@ -135,7 +133,7 @@ def can_hold(tool: Gripper, stock: Stock, payload: float) -> bool:
     return tool.mass + mass <= payload and GRIP_FORCE_FACTOR * mass * GRAVITY <= tool.holding
 
 
-def fits(grip: Grip, stock: Stock, wires: Wires, margin: float) -> bool:
+def fits(grip: Grip, stock: Stock, wires: "Wires", margin: float) -> bool:
     """Whether a grip is within the block's bottom face and all wires stay away from it."""
     free = _free(grip.tool, grip.turn, stock, wires, margin)
     return bool(free.covers(shapely.Point(grip.at)))

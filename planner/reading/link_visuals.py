@@ -5,8 +5,6 @@ robot by one grid, about the finest that suits. Nothing here is for distances, a
 a link whose visuals cannot be had the bodies for collision are seen.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 from collections.abc import Mapping

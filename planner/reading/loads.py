@@ -1,7 +1,5 @@
 """Forces that the work exerts on tools, as operations of any process state them: schema, what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated
 
@@ -38,7 +36,7 @@ class ForceFile(Strict):
     )
 
     @model_validator(mode="after")
-    def _one_source(self) -> ForceFile:
+    def _one_source(self) -> "ForceFile":
         if (self.force_n is None) == (self.table is None):
             raise ValueError("state force_n, or a table of it by depth: one of them")
         if self.table is not None and len({row[0] for row in self.table}) < len(self.table):

@@ -4,8 +4,6 @@ From the wires at hand of a cell one is chosen. A foam's file is written after a
 and read where a problem names one.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Iterator, Sequence
@@ -39,7 +37,7 @@ class SectionFile(Strict):
     temperature_c: float = Field(ge=20, le=1000, description="of the wire while it cuts")
 
     @model_validator(mode="after")
-    def _one_section(self) -> SectionFile:
+    def _one_section(self) -> "SectionFile":
         strip = self.width_mm is not None and self.thickness_mm is not None
         if self.diameter_mm is not None and (self.width_mm is not None or self.thickness_mm is not None):
             raise ValueError("give diameter_mm for a round wire, or width_mm and thickness_mm for a strip")
@@ -80,7 +78,7 @@ class WireFile(SectionFile):
         return BentWire(self.material, length, (thickness or 0.0) * MM, width, self.temperature_c)
 
     @staticmethod
-    def of(wire: BentWire) -> WireFile:
+    def of(wire: BentWire) -> "WireFile":
         """The inverse of :meth:`value`, exact for figures of up to nine decimals."""
         length, thickness = (round(value / MM, 9) for value in (wire.length, wire.thickness))
         strip = wire.width is not None

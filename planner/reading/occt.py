@@ -7,8 +7,6 @@ imports ``OCP``; in its version 8.0 ``TDF_Label.FindAttribute`` and ``XCAFDoc_Sh
 there is nothing to be found, so that they are not called there.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -7,8 +7,6 @@ itself on 1,000 postures, and arms of other forms are told by class. All is work
 never read from names or other files.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any, Final

@@ -6,8 +6,6 @@ of their own: faces, and surfaces that are ruled or cut into ruled strips
 (:mod:`planner.reading.part_ruled`), parts of sheets (:mod:`planner.reading.sheet`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -72,7 +70,7 @@ class OutlineFile(Strict):
     circle: CircleFile | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> OutlineFile:
+    def _one(self) -> "OutlineFile":
         if sum(v is not None for v in (self.polyline_mm, self.bspline_mm, self.circle)) != 1:
             raise ValueError("give exactly one of polyline_mm, bspline_mm and circle")
         return self
@@ -90,7 +88,7 @@ class PlateFile(Strict):
     corner_deg: float = Field(default=20.0, ge=1, le=179)
 
     @model_validator(mode="after")
-    def _some(self) -> PlateFile:
+    def _some(self) -> "PlateFile":
         if not self.outlines and self.dxf is None and self.rhino is None:
             raise ValueError("give outlines, dxf or rhino, or several of them")
         return self
@@ -257,7 +255,7 @@ class PartFile(Strict):
     in_stock: InStock = "auto"
 
     @model_validator(mode="after")
-    def _one(self) -> PartFile:
+    def _one(self) -> "PartFile":
         given = [kind for kind in PART_KINDS if getattr(self, kind) is not None]
         if len(given) != 1:
             got = " and ".join(given) or "none of them"

@@ -3,8 +3,6 @@
 A wing panel is given by two airfoils with their chords, span, sweep, twist and dihedral.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -38,7 +36,7 @@ class SectionFile(Strict):
     chord_mm: Chord
 
     @model_validator(mode="after")
-    def _one(self) -> SectionFile:
+    def _one(self) -> "SectionFile":
         if (self.naca is None) == (self.file is None):
             raise ValueError("give either naca or file")
         return self
@@ -148,7 +146,7 @@ class GuideFile(Strict):
             raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf and rhino")
         return self
 
-    def looked_up(self, folder: Path) -> GuideFile:
+    def looked_up(self, folder: Path) -> "GuideFile":
         """The same with its file, where it has one, named from anywhere."""
         return self.model_copy(update=self._files(folder))
 
@@ -195,7 +193,7 @@ class RuledFile(Strict):
     hole: bool = Field(default=False, description="the part lies around the closed surface")
 
     @model_validator(mode="after")
-    def _sides(self) -> RuledFile:
+    def _sides(self) -> "RuledFile":
         given = [self.start, self.rhino, self.step]
         if given.count(None) != 2 or (self.start is None) != (self.end is None):
             raise ValueError("give start and end, or rhino or step in their place")

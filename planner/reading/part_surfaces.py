@@ -3,8 +3,6 @@
 Faces are lofts, meshes, faces of Rhino files and offsets.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from pathlib import Path
@@ -57,7 +55,7 @@ class RailFile(Strict):
     centre_mm: Vector = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
-    def _turns(self) -> RailFile:
+    def _turns(self) -> "RailFile":
         if not 0.0 < abs(self.end_deg - self.start_deg) <= 360.0:
             raise ValueError("start_deg and end_deg must differ by more than 0 and at most 360 degrees")
         return self
@@ -71,7 +69,7 @@ class CurveFile(Strict):
     bspline_mm: Annotated[list[list[Far]], Field(min_length=2, max_length=200)] | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> CurveFile:
+    def _one_kind(self) -> "CurveFile":
         if (self.bezier_mm is None) == (self.bspline_mm is None):
             raise ValueError("give either bezier_mm or bspline_mm")
         return self
@@ -94,7 +92,7 @@ class RegionFile(Strict):
     v: tuple[Fraction, Fraction] = (0.0, 1.0)
 
     @model_validator(mode="after")
-    def _ordered(self) -> RegionFile:
+    def _ordered(self) -> "RegionFile":
         if self.u[0] >= self.u[1] or self.v[0] >= self.v[1]:
             raise ValueError("u and v must each be [lower, upper] with lower < upper")
         return self
@@ -113,7 +111,7 @@ class LoftFile(Strict):
     flip: bool = Field(default=False, description="turn the side that faces away from the part")
 
     @model_validator(mode="after")
-    def _complete(self) -> LoftFile:
+    def _complete(self) -> "LoftFile":
         curves, size = (self.profiles, 2) if self.rail is not None else (self.sections, 3)
         key = "profiles" if self.rail is not None else "sections"
         if self.rail is None and self.profiles:
@@ -172,7 +170,7 @@ class FrontFile(Strict):
     step: StepFaceFile | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> FrontFile:
+    def _one(self) -> "FrontFile":
         _only_one(self.loft, self.mesh, self.rhino, self.step)
         return self
 
@@ -192,7 +190,7 @@ class BackFile(Strict):
     step: StepFaceFile | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> BackFile:
+    def _one(self) -> "BackFile":
         if sum(one is not None for one in (self.offset_mm, self.mesh, self.rhino, self.step)) != 1:
             raise ValueError("give exactly one of offset_mm, mesh, rhino and step")
         return self
@@ -230,7 +228,7 @@ def build_faces(front: FrontFile, back: BackFile | None, folder: Path) -> Faces:
 
 
 def surface(
-    given: FrontFile | BackFile | StripsFile, folder: Path, field: str, largest: float = LARGEST_EXTENT
+    given: "FrontFile | BackFile | StripsFile", folder: Path, field: str, largest: float = LARGEST_EXTENT
 ) -> tuple[TriangleMesh, FloatArray, list[Issue]]:
     """A face from a loft, a mesh or a Rhino file, with the unit normals (V, 3) of its vertices, and notes;
     ``largest``: how long [m] a mesh may be."""
@@ -258,7 +256,7 @@ def surface(
     return TriangleMesh(vertices, faces), normals, []
 
 
-def _cad_face(given: FrontFile | BackFile | StripsFile, folder: Path, field: str) -> CadFace | None:
+def _cad_face(given: "FrontFile | BackFile | StripsFile", folder: Path, field: str) -> CadFace | None:
     """The face of a Rhino, STEP or IGES file, None where there is none of these."""
     if given.rhino is not None:
         found, name = rhino.face(given.rhino, folder, f"{field}.rhino"), given.rhino.file
@@ -346,7 +344,7 @@ class StripsFile(Strict):
     take: int = Field(default=1, ge=1, le=ruled_approximation.MOST_STRIPS)
 
     @model_validator(mode="after")
-    def _one(self) -> StripsFile:
+    def _one(self) -> "StripsFile":
         _only_one(self.loft, self.mesh, self.rhino, self.step)
         return self
 

@@ -4,8 +4,6 @@ Operations belong to processes, so the caller passes their schemas; this module 
 can be carried: file names are made absolute, files packed, or counted in a digest.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -133,7 +131,7 @@ class SettingsFile(Strict):
     seed: int = Field(default=Settings.seed, ge=0, lt=2**31)
 
     @model_validator(mode="after")
-    def _own_is_less(self) -> SettingsFile:
+    def _own_is_less(self) -> "SettingsFile":
         if self.own_clearance_mm is not None and self.own_clearance_mm > self.clearance_mm:
             raise ValueError(
                 f"own_clearance_mm is {self.own_clearance_mm:g}, allowed is at most clearance_mm, here "

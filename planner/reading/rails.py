@@ -1,7 +1,5 @@
 """Linear axes under an arm in a cell file, a track or the axes of a gantry, with what cannot be such told."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Final

@@ -4,8 +4,6 @@ Read by ``rhino3dm`` of the extra ``cad``, which only parses; what NURBS are, :m
 works out. Lengths are in the file's own unit.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ The sheet's schema is in mm, its value in SI units. The part is a mesh of one of
 into the sheet's frame.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

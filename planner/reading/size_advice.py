@@ -2,8 +2,6 @@
 the tools in the clamp's opening, of a bow beside the support) the checks of the enlarged problem tell.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math

@@ -4,8 +4,6 @@ Open CASCADE reads them in a process of its own (:mod:`planner.reading.occt`, ex
 a face, :mod:`planner.reading.cad_faces` works out.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import subprocess

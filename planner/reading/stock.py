@@ -2,8 +2,6 @@
 their values in SI units.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -5,8 +5,6 @@ A refused value can be found in the file by its line. Schemas share numbers, vec
 their ranges.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import re
@@ -100,7 +98,7 @@ class Document:
         self.name = str(path) if file else None
         self._root = root
 
-    def with_data(self, data: Any) -> Document:
+    def with_data(self, data: Any) -> "Document":
         """The same file with other values in the same places."""
         return Document(self.path, data, self._root, self.text, self.name is not None)
 

@@ -6,8 +6,6 @@ Fixed joints are folded in. Angles of frames within 2e-4 rad of a multiple of 15
 as that: files write 1.5708. :mod:`planner.reading.opw` makes an arm of the chain.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Final

@@ -4,8 +4,6 @@ What no problem file can say is refused with its place: holes in arrays, numbers
 without a unit, frames that are none.
 """
 
-from __future__ import annotations
-
 import atexit
 import functools
 import hashlib

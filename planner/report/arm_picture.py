@@ -1,7 +1,5 @@
 """An arm with its axes as SVG: what is held apart of it, in its home posture, and where its joints turn."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Callable, Mapping
 from typing import Final

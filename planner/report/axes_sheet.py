@@ -1,7 +1,5 @@
 """Rows of the setup sheet about external axes that do not depend on the language of the controller."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 

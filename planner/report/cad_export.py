@@ -6,8 +6,6 @@ target with its time and joint angles as user text. The part and what wires cut 
 it is at that moment.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping

@@ -3,8 +3,6 @@
 Shown is one moment of each setup, in the midst of its longest work.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Final

@@ -4,8 +4,6 @@ The page's script reads values off the charts. Heat maps show deviations over a 
 normal, with a histogram and figures.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import html
 import math

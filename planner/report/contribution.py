@@ -4,8 +4,6 @@ The report imports neither processes nor languages. It finds their parts by :mod
 those of the processes of a problem, and of the languages that its controllers read.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any

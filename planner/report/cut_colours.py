@@ -4,8 +4,6 @@ Figures and words are those of the report: clearance and speed of `motion_charts
 faces in the colours of their maps. Without a proof there are none.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final

@@ -28,8 +28,6 @@ An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``
 What does not follow its form becomes an issue ``report.exhibit`` and is left out of the report.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final

@@ -1,8 +1,6 @@
 """What the arms can do over the targets at each value of one freedom, as a picture, with the plan's own way
 through it."""
 
-from __future__ import annotations
-
 import dataclasses
 import html
 from collections.abc import Iterator, Mapping

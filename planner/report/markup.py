@@ -5,8 +5,6 @@ words). Whoever builds a page builds these values; :func:`page`, :func:`section`
 write HTML of them. One style sheet for screen (light and dark) and paper, one small script.
 """
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import html
@@ -40,14 +38,14 @@ class Code:
 class Bold:
     """A phrase that stands out."""
 
-    content: Phrase
+    content: "Phrase"
 
 
 @dataclasses.dataclass(frozen=True)
 class Soft:
     """A phrase that stands back."""
 
-    content: Phrase
+    content: "Phrase"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,14 +65,14 @@ class Blank:
 class Joined:
     """Phrases one after the other, with nothing between them."""
 
-    parts: tuple[Phrase, ...]
+    parts: "tuple[Phrase, ...]"
 
 
 @dataclasses.dataclass(frozen=True)
 class Lines:
     """Phrases below one another."""
 
-    parts: tuple[Phrase, ...]
+    parts: "tuple[Phrase, ...]"
 
 
 Phrase = object
@@ -123,7 +121,7 @@ class Steps:
 class Tree:
     """Names with what belongs below each."""
 
-    nodes: tuple[tuple[Phrase, Tree], ...]
+    nodes: "tuple[tuple[Phrase, Tree], ...]"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,7 +145,7 @@ class Figure:
     """A picture, chart or table with a title above and a note below."""
 
     title: Phrase
-    content: Block
+    content: "Block"
     note: Phrase = ""
 
 
@@ -155,7 +153,7 @@ class Figure:
 class Group:
     """Blocks one after the other; ``apart``: with air below each."""
 
-    items: tuple[Block, ...]
+    items: "tuple[Block, ...]"
     apart: bool = False
 
 
@@ -163,7 +161,7 @@ class Group:
 class Grid:
     """Blocks side by side where there is room; ``kind`` says how many: ``two`` or ``three``."""
 
-    items: tuple[Block, ...]
+    items: "tuple[Block, ...]"
     kind: str = "two"
 
 
@@ -171,14 +169,14 @@ class Grid:
 class Column:
     """Blocks below one another that fill one place of a grid."""
 
-    items: tuple[Block, ...]
+    items: "tuple[Block, ...]"
 
 
 @dataclasses.dataclass(frozen=True)
 class Wide:
     """A block that takes the whole width."""
 
-    content: Block
+    content: "Block"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -186,7 +184,7 @@ class Folded:
     """A block that is seen after a click on its summary."""
 
     summary: str
-    content: Block
+    content: "Block"
 
 
 Block = (

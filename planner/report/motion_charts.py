@@ -7,8 +7,6 @@ Drawn from the proof's replay or, without one, from the plan. Names that are rea
 ``own_clearance``. Processes read further series (`contribution`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence

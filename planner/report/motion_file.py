@@ -3,8 +3,6 @@
 Planes at the TCPs and of the blocks in the world [mm], joint angles by the joints' names [deg], times [s].
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any, Final

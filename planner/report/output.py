@@ -4,8 +4,6 @@ The report is one HTML file that needs nothing else, for screen and paper; it is
 is no plan, too. The proof is written as data.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -5,8 +5,6 @@ The search for a place of the stock is read from ``metrics["placement"]``: ``pos
 ``unit`` and ``name`` of the score where given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """Points and poses as text, for tables."""
 
-from __future__ import annotations
-
 from planner.geometry.arrays import FloatArray, to_quaternion, to_rpy
 from planner.geometry.units import DEG, MM
 from planner.report import markup

@@ -4,8 +4,6 @@ Meshes are the shapes of a cell, wanted surfaces, and what a wire leaves behind 
 between its places one after the other.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final
@@ -26,7 +24,7 @@ class Solid:
     normals: FloatArray
     faces: IntArray
 
-    def moved(self, pose: FloatArray) -> Solid:
+    def moved(self, pose: FloatArray) -> "Solid":
         """The solid moved by a pose (4, 4)."""
         return Solid(self.vertices @ pose[:3, :3].T + pose[:3, 3], self.normals @ pose[:3, :3].T, self.faces)
 
@@ -243,7 +241,7 @@ class Camera:
     left: int = 0
     top: int = 0
 
-    def window(self, points: FloatArray, margin: int = 4) -> Camera:
+    def window(self, points: FloatArray, margin: int = 4) -> "Camera":
         """The same camera, cut to what shows the points (P, 3)."""
         seen = self.project(points)[..., :2] + [self.left, self.top]
         low = np.clip(np.floor(seen.min(axis=0)).astype(int) - margin, 0, np.array(self.full) - 1)

@@ -5,8 +5,6 @@ makes both surfaces of them, the released one coloured by its deviation, with a 
 in place of the flat sheet.
 """
 
-from __future__ import annotations
-
 import html
 from collections.abc import Mapping
 from typing import Any, Final

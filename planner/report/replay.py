@@ -6,8 +6,6 @@ is drawn. The script (`view3d/replay.js`) draws by three.js as the page of the s
 the file, and so are the figures of the proof by which the cut is coloured (`cut_colours`).
 """
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import functools

@@ -4,8 +4,6 @@ rhino3dm writes the clock into each file, and makes up ids: here all are of one 
 order of objects and the paths of layers.
 """
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import importlib.util

@@ -5,8 +5,6 @@ Where the block and a straight wire are follows from joint angles, in the setup 
 clock of the replay (`track`) goes from home through all setups and operations and back.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final

@@ -4,8 +4,6 @@ Tables of tools, block and points to measure hold for a whole setup. The part on
 what is loaded and set there before the first run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

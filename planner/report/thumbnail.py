@@ -1,7 +1,5 @@
 """A small picture of the cell, out of a saved report: for lists of many jobs."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Final

@@ -1,7 +1,5 @@
 """The bar of the replay: its time, what it consists of, and how the programs' clock leads to it."""
 
-from __future__ import annotations
-
 import html
 import json
 from collections.abc import Sequence

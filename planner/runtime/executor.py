@@ -9,8 +9,6 @@ how long a computation takes, but never its result.
 >>> list(items)  # waits for the items
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any, Final, Protocol, TypeVar
 

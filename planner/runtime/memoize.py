@@ -6,8 +6,6 @@ byte, so that different arguments never share a value. A function that reads any
 must take its content as an argument. Caching is opt-in (:func:`use_cache`): plans and proofs do not use it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import functools

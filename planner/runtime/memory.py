@@ -1,8 +1,6 @@
 """Memory of this process: return free memory to the operating system, and exempt permanent objects from the
 garbage collector."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import gc

@@ -10,8 +10,6 @@ in the groups ``tandem.processes`` and ``tandem.languages``. The name of an entr
 plug-in, its object is a :class:`Process` or a :class:`Language`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

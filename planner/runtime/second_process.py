@@ -6,8 +6,6 @@ is ``module:function``. The process calls this function first, for example to im
 module does not depend on the code that it runs. The process ends with its parent, however the parent ends.
 """
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

@@ -1,7 +1,5 @@
 """Version of the package, in a module without imports so that every room can state it."""
 
-from __future__ import annotations
-
 from typing import Final
 
 __version__: Final = "0.1.0"

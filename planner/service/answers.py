@@ -2,8 +2,6 @@
 browser has already, parts of files, compression; and how long the head of a request may take to come in.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gzip
 import hashlib

@@ -5,8 +5,6 @@ API for it, as the user. Of a bundled problem, as a starting point, the page has
 data with the cell inside, and its files.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -6,8 +6,6 @@ outlive jobs and tokens, and go by age alone. A download is written down before 
 the same file, token and release: parts of a file are asked for one by one.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any, Final

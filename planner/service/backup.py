@@ -11,8 +11,6 @@ is gone all the same, another moment is taken, at which its job is gone too. Eac
 copied, here and there, so that a store that is damaged is told and not handed on.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import datetime as dt

@@ -4,8 +4,6 @@ A problem is given with its cell inside and its files called by the last step of
 its own file, with all that it names.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ operations of all processes. Loading them takes seconds, so this module is impor
 for.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 from pathlib import Path

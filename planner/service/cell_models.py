@@ -1,7 +1,5 @@
 """What the API sends of a cell: bodies with their triangles, their places in postures, maps of a freedom."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

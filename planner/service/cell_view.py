@@ -4,8 +4,6 @@ Lengths are in mm, angles in degrees, poses rows of twelve numbers (the upper th
 world. Where bodies are says the cell's model, from joints: whoever draws needs no kinematics. It loads Drake.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """The API's routes of drafts: problems in the making, and cells, tools and templates kept for later."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime as dt
 import json

@@ -5,8 +5,6 @@ Who saves says which version he has: one that somebody else has saved over meanw
 with the files of jobs, so it is stored once, charged, swept and backed up as theirs.
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 """What the store has of the problems of an element, its panels and the jobs of its raw blocks, as answers
 tell it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple

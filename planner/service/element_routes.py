@@ -1,8 +1,6 @@
 """The API's routes of building elements. An element is also the job that divides it: its files, events and
 state are those of ``/v1/jobs/ID``."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final, Literal
 
 import anyio.to_thread

@@ -5,8 +5,6 @@ An element is the job that divides it; its files are what ``tandem element`` wri
 where panels are marked. The store has which jobs are those of its panels.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib

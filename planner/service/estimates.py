@@ -1,7 +1,5 @@
 """How long a job may still take: by medians of the times that like jobs took for each stage."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import statistics

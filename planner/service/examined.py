@@ -1,7 +1,5 @@
 """Result of reading an upload, as the process that reads passes it to the service."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any

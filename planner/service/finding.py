@@ -4,8 +4,6 @@ What is sought is kept beside each job without capitals and with one form for ea
 so that both databases find the same in any language, by plain comparison.
 """
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import unicodedata

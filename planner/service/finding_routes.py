@@ -1,7 +1,5 @@
 """The API's routes by which people keep order among jobs: what they call them, and deleting many."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Final
 
 import anyio.to_thread

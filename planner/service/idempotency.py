@@ -9,8 +9,6 @@ The header is an Internet-Draft of the IETF, draft-ietf-httpapi-idempotency-key-
 it is, quoted or not.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

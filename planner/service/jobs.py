@@ -3,8 +3,6 @@
 Events come as they happen, for any number of listeners: one question to the store for all of them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import dataclasses

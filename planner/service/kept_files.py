@@ -1,8 +1,6 @@
 """Values that are kept as files for a while, in a folder that nobody else writes into: several processes
 share them, and one that is ended loses none. They are pickles of this service's own."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import secrets

@@ -6,8 +6,6 @@ cell, of block and part, so where arms and block stand, obstacles, margins and n
 block leans does. Brief ones, which a first look made, are for first looks alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

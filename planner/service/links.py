@@ -5,8 +5,6 @@ of the store too, which says who made it and when it ends. It goes when it is wi
 job deleted: without the row the signature opens nothing.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import hashlib
 import hmac

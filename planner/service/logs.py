@@ -5,8 +5,6 @@ goes back with the answer and stands in all lines about it, with the jobs that i
 queries, tokens, or places on the server's disk, also where an error's own text has them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import datetime as dt
 import json

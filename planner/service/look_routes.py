@@ -1,7 +1,5 @@
 """Links to look at a job: made, listed and withdrawn by who may plan, and what they show to others."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final
 
 from fastapi import APIRouter, Query, Request, Response

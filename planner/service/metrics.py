@@ -6,8 +6,6 @@ asked for when the figures are read. Labels have words of this program alone: ro
 what users wrote. Times are by the monotonic clock, but for the age of the queue.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable
 from typing import Final, get_args

@@ -8,8 +8,6 @@ when it ends.
 :mod:`planner.reading.problem`.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import threading
 import time

@@ -6,8 +6,6 @@ as of any other. They and its name are those that the provider tells at each log
 another token: what it did stays with the team that it was in.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import dataclasses

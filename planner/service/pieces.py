@@ -1,7 +1,5 @@
 """Type of long readings that share the readers of the service."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from typing import TypeVar
 

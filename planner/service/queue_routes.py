@@ -1,8 +1,6 @@
 """The API's routes of the queue: whose turn it is, a sweep of a field, several problems
 at once, how long a job may still take."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

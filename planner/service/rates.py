@@ -4,8 +4,6 @@ A bucket holds what may be asked at once and fills again with time (RFC 2697 has
 packets). Counts are of this process: two hosts let through twice as much.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time

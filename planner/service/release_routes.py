@@ -1,7 +1,5 @@
 """The API's routes of releases, who answers for the programs of a job, and of the log of who did what."""
 
-from __future__ import annotations
-
 from typing import Annotated, Final
 
 import anyio.to_thread

@@ -5,8 +5,6 @@ the SHA-256 of its proof, and of each program as it lies in the store, after it 
 the one that the proof names. A release holds until it is withdrawn, and belongs to its job alone.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Mapping

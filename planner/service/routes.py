@@ -4,8 +4,6 @@ Every route is given the service, who asks, and the job that is asked for. Schem
 imported when they are asked for: with all processes they take seconds to load.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import functools
 import hashlib

@@ -5,8 +5,6 @@ Every change asks whether the job is still held, so that a host that was given u
 A thread plans as many jobs at once as there are worker processes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json

@@ -4,8 +4,6 @@ The table ``tandem_schema`` holds the version number. A store of any other versi
 migrations between versions.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 from sqlalchemy import Connection, MetaData, inspect, text

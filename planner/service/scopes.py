@@ -4,8 +4,6 @@ A scope is narrower than the role that it has. A new address is closed to tokens
 names it; what an address shows to whom stands with the address.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

@@ -7,8 +7,6 @@ request stand the size of its body, where it comes from, and what browsers may d
 service says no by an HTTP status and issues that say why.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import hmac

@@ -8,8 +8,6 @@ never refused: they are charged when they are there.
 What a user uploads (`take`), a problem and its files, is told all at once what is wrong with it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import io

@@ -5,8 +5,6 @@ and named: control characters, and marks that are not seen and turn or hide what
 Technical Report 36, 2.5); the two that join letters or keep them apart are needed in some scripts.
 """
 
-from __future__ import annotations
-
 import unicodedata
 from typing import Annotated, Any, Final, TypeVar
 

@@ -5,8 +5,6 @@ forked from a parent that has imported what reading needs, Drake once it is aske
 broken off, as each change of an edited problem breaks off the check of the one before, costs a fork.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import json

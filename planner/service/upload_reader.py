@@ -14,8 +14,6 @@ This runs in a process of its own (:mod:`planner.service.upload_processes`), bec
 upload may be hostile; it loads all processes, so nothing else imports it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib

@@ -1,7 +1,5 @@
 """The API's routes about webhooks: made, listed, tried, deleted."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Final
 
 import anyio.to_thread

@@ -6,8 +6,6 @@ by any host until it is answered by 2xx: an address may be told the same thing t
 address is one of a host that the operator has named; redirections are not followed.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import dataclasses

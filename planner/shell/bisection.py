@@ -5,8 +5,6 @@ International Journal for Numerical Methods in Engineering 20 (1984) 745-756. Of
 is cut the longest one is cut too, so no angle becomes smaller than half of the smallest before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

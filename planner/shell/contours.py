@@ -1,7 +1,5 @@
 """Closed contours of a wall, matched to one another: what faces what, and where corners go down the wall."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

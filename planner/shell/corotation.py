@@ -17,8 +17,6 @@ spin of the frame, C the stiffness with H and the derivative of H, F how forces 
 G and D change with the triangle's own shape. K is symmetric in balance without moments from outside; its
 symmetric half is used, which costs no order of convergence there."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -39,7 +37,7 @@ class State:
     u: FloatArray
     rotation: FloatArray
 
-    def moved(self, step: FloatArray) -> State:
+    def moved(self, step: FloatArray) -> "State":
         """After a step (n, 6): displacements [m], and spins [rad] about the axes of space."""
         return State(self.u + step[:, :3], exp_rotation(step[:, 3:]) @ self.rotation)
 

@@ -18,8 +18,6 @@ C. Militello (Computers & Structures 1992). "Constant strain" is the usual trian
 drilling turns have a weak spring each against the turn of the triangle.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Literal
 

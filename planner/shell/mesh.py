@@ -4,8 +4,6 @@ Walls become bands between rows along the contours, so that no triangle lies acr
 edge, a kink of the profile or a corner: a triangle across a kink makes the sheet too stiff by percents
 however small it is. Floor and flange are flat and filled with rows at growing distances from their rims."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -87,7 +85,7 @@ class Wall:
     those ``inside``, whose first rings are as high."""
 
     rings: Sequence[FloatArray]
-    inside: Sequence[Wall] = ()
+    inside: "Sequence[Wall]" = ()
 
 
 def mesh_sheet(
@@ -179,10 +177,10 @@ class _Outlines:
     rings: list[FloatArray]
     top: shapely.Polygon
     floor: shapely.Polygon
-    inside: list[_Outlines]
+    inside: "list[_Outlines]"
 
     @staticmethod
-    def of(wall: Wall) -> _Outlines:
+    def of(wall: Wall) -> "_Outlines":
         """Raises ValueError as `mesh_walls`."""
         rings = [counterclockwise(np.asarray(ring, dtype=np.float64)) for ring in wall.rings]
         shapes = [shapely.Polygon(ring[:, :2]) for ring in rings]
@@ -203,7 +201,7 @@ class _Flat:
 
     height: float
     fixed: FloatArray
-    walls: list[_Layout]
+    walls: "list[_Layout]"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,8 +6,6 @@ Journal for Numerical Methods in Engineering 14 (1979) 1613-1626), each step wit
 costs a twentieth of new factors; where that no longer contracts, the tangent is made anew. A sheet that snaps
 through has no state in balance near by: steps are cut, and then the load that was reached is told."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -210,7 +208,9 @@ class Loading:
             found.append(at.state)
         return found
 
-    def _reached(self, at: _At, shares: FloatArray, now: FloatArray, load: FloatArray) -> tuple[float, _At]:
+    def _reached(
+        self, at: "_At", shares: FloatArray, now: FloatArray, load: FloatArray
+    ) -> "tuple[float, _At]":
         """How far (0 to 1) from the load ``now`` to ``load`` a sheet comes, in steps that are cut where they
         fail, and its state there."""
         done, part = 0.0, 1.0
@@ -224,7 +224,7 @@ class Loading:
                 part = min(part, 1.0 - done)
         return done, at
 
-    def _step(self, at: _At, shares: FloatArray, base: FloatArray, more: FloatArray) -> _At | None:
+    def _step(self, at: "_At", shares: FloatArray, base: FloatArray, more: FloatArray) -> "_At | None":
         """The state after ``more`` [N], or None where there is none near by."""
         load = np.zeros((len(shares), 6))
         load[:, :3] = shares[:, None] * (base + more)
@@ -243,7 +243,7 @@ class Loading:
             return None
         return end
 
-    def _balanced(self, at: _At, load: FloatArray) -> _At | None:
+    def _balanced(self, at: "_At", load: FloatArray) -> "_At | None":
         """The state in balance with ``load`` (n, 6) from that ``at``, with its own factors. Raises
         TooFarError."""
         free = self.assembly.free
@@ -323,7 +323,7 @@ class Loading:
             step += (share - inverse * float(dots(change, step))) * taken
         return step
 
-    def _start(self, state: State) -> _At:
+    def _start(self, state: State) -> "_At":
         """A state with its forces and the factors of its tangent."""
         force, matrix = self.assembly.tangent(state)
         self.effort.factors += 1

@@ -1,7 +1,5 @@
 """Tools on flanges: a sum type of their kinds, and what makes each of them from sizes."""
 
-from __future__ import annotations
-
 from typing import assert_never
 
 from planner.geometry.arrays import Shape

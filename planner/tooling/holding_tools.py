@@ -5,8 +5,6 @@ two prongs, carried by one arm. Grippers hold a block by its bottom face: a plat
 a vacuum cup. A plain tool is one of the user's own, of which no more is known.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final, Literal
 

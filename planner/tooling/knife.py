@@ -1,7 +1,5 @@
 """Knives: a thin blade in a holder, drawn through a sheet with its edge ahead."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

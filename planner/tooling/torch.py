@@ -1,7 +1,5 @@
 """Torches: what cuts a sheet without touching it, by an arc, a beam or a jet from a nozzle."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final, Literal
 

@@ -4,8 +4,6 @@ Ball tools form sheets, also on a larger shaft, as do the flat disk and a heat n
 cutter in a holder on a spindle, which sits on the flange or leans against it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final, Literal

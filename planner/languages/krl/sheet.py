@@ -1,7 +1,5 @@
 """Rows of the setup sheet for KUKA controllers: files to load, machine data of external axes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

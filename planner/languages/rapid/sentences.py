@@ -1,7 +1,5 @@
 """Sentences that RAPID programs show operators."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.claims.sentences import Sentence

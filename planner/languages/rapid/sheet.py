@@ -1,7 +1,5 @@
 """Rows of the setup sheet for ABB controllers: files to load, settings, external axes."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Final

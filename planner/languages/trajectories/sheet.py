@@ -1,7 +1,5 @@
 """Rows of the setup sheet for a controller of ROS 2, which moves all joints, and for the runner."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Sentences that URScript programs show operators."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.claims.sentences import Sentence

@@ -1,7 +1,5 @@
 """Rows of the setup sheet for UR controllers: signals, stops, settings at the panel."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

@@ -18,8 +18,6 @@ says 0: not running. What each controller's configuration needs for it beside it
 the operator reads of it, is here.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -338,7 +336,7 @@ class Partner:
     meets: int
 
     @staticmethod
-    def of(task: TaskProgram, job: Job) -> Partner | None:
+    def of(task: TaskProgram, job: Job) -> "Partner | None":
         """The side of a task; None where one controller moves all."""
         if job.handshake is None:
             return None

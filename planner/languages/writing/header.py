@@ -1,7 +1,5 @@
 """Comments at the head of programs: who wrote them, for what, and what is to be known of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from planner.languages.writing.handshake import Partner, drift_sentence

@@ -1,7 +1,5 @@
 """What a robot language brings so that programs are written in it, and which languages there are."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence

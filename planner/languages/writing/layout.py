@@ -8,8 +8,6 @@ Two controllers that share digital signals only (:class:`planner.claims.handshak
 inside blocks too: at the moves that :attr:`OperationProgram.meets` numbers.
 """
 
-from __future__ import annotations
-
 import bisect
 import dataclasses
 import itertools

@@ -1,7 +1,5 @@
 """External axes in programs: their values, speeds and paths between stations."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import NamedTuple

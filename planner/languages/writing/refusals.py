@@ -4,8 +4,6 @@ Cells whose controllers cannot do the job together, signals without numbers, and
 programs cannot carry. What one language alone refuses is in its :class:`Writer`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ Which targets are moved to is settled here, too. What an arm carries is the bloc
 holds, as the controller must know it.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 

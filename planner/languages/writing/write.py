@@ -4,8 +4,6 @@ Each arm gets the language of its controller. Beside the programs go files for t
 power that they switch, and for wires by which two of them know of each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

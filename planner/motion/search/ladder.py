@@ -7,8 +7,6 @@ exactly one turn state that it can come from. Whole turns of an arm's joints are
 number.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """Chooses branches for all arms together; feeds collisions back to the ladder until its path is free."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import heapq

@@ -10,8 +10,6 @@ freedoms go straight, joints follow exactly; where that leaves a branch, a limit
 the skeleton gets more targets there.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 A sample of the freedoms is checked for collisions once, when somebody first asks for it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
@@ -67,7 +65,7 @@ class Rungs:
     penalty: FloatArray
     turns_matter: bool = True
 
-    def modulo(self) -> Rungs:
+    def modulo(self) -> "Rungs":
         """The same with turns forgotten: a state is as good as its best turn."""
         return dataclasses.replace(
             self,

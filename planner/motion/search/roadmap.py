@@ -5,8 +5,6 @@ to rung, any sample after any other, is found by dynamic programming; its postur
 moves between its rungs are looked at, what does not do is left out, and the path is found again.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections import Counter

@@ -10,8 +10,6 @@ from a zero that does not jump where the nominal poses of the targets turn about
 axis, as they do at corners.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """Accelerations and jerks of joints on a clock, by divided differences of the targets of a path."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

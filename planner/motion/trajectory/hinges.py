@@ -4,8 +4,6 @@ Margins to joint limits and singular postures, distance from preferred values, a
 bodies, which Drake is asked for only where it may matter.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence

@@ -5,8 +5,6 @@ within what a corner takes of the moves beside it. Where a zone is small, or a c
 change faster there than on the spline that the clock follows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping
@@ -361,7 +359,7 @@ class Corners:
     taken: FloatArray
 
     @staticmethod
-    def of(spline: CubicSpline, knots: FloatArray, taken: FloatArray) -> Corners:
+    def of(spline: CubicSpline, knots: FloatArray, taken: FloatArray) -> "Corners":
         """Of a path with targets at the positions ``knots`` (n + 2,), among the breaks of the spline, which
         part each move evenly in space: there it goes at an even speed, whatever the joints do."""
         at = np.searchsorted(spline.x, knots)

@@ -1,7 +1,5 @@
 """Linear constraints and the cost of the optimiser's quadratic programs, as Drake takes them."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

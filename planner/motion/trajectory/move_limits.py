@@ -13,8 +13,6 @@ move. Controllers plan a move for some 20 to 50 ms at least; a run of shorter on
 corners that nobody asked for (ABB: 50024, corner path failure; KUKA: approximation not possible).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Any, Final

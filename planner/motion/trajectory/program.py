@@ -11,8 +11,6 @@ A path that is found here keeps all that the seed keeps, at a lower cost; otherw
 reason. Work is bounded by rounds and by distances that are asked for.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

@@ -6,8 +6,6 @@ constraints takes over, on the same path and limits; the result says so. It is t
 benchmarks, too.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Callable, Mapping
@@ -183,7 +181,7 @@ def settled(
     path: JointPath,
     limits: Limits,
     rounded: Rounded,
-    known: dict[bytes, TimedPiece] | None = None,
+    known: "dict[bytes, TimedPiece] | None" = None,
 ) -> Clock:
     """The clock of :func:`clock`, again where its own times leave the corners less room than the limits
     have."""
@@ -198,7 +196,7 @@ def settled(
     return ticks
 
 
-def clock(path: JointPath, limits: Limits, known: dict[bytes, TimedPiece] | None = None) -> Clock:
+def clock(path: JointPath, limits: Limits, known: "dict[bytes, TimedPiece] | None" = None) -> Clock:
     """Times of all targets, at rest at stops. Raises :class:`TimingError`.
 
     ``known``: pieces that were timed before, to which those are added that are not among them: of a path that

@@ -1,7 +1,5 @@
 """TOPPRA by the package ``toppra``: a path and limits as it wants them, and the call."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Iterator

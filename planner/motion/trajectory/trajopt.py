@@ -9,8 +9,6 @@ Where a smoother path came too near to something, the freedoms are narrowed to a
 path that is kept.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
@@ -68,7 +66,7 @@ class Improved:
     cost_before: float
     iterations: int
 
-    def at(self, rows: IndexArray) -> Improved:
+    def at(self, rows: IndexArray) -> "Improved":
         """The path at some of its targets."""
         return dataclasses.replace(
             self, values=self.values[rows], q={arm: angles[rows] for arm, angles in self.q.items()}
@@ -138,7 +136,7 @@ class PathProblem:
         targets: Targets,
         branch: Mapping[str, int],
         obstacles: Obstacles | None,
-        weights: Weights | None = None,
+        weights: "Weights | None" = None,
     ) -> None:
         self.scene, self.targets, self.branch, self.obstacles = scene, targets, branch, obstacles
         self.columns = scene.columns(targets.arms)

@@ -6,8 +6,6 @@ the path, then where these joints cost most; between windows, and at a few targe
 stays, with its slopes.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Final

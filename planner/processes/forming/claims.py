@@ -1,7 +1,5 @@
 """What must hold of a sheet that tools form, as data, in the frame of the sheet; see ``claims.claim``."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Page with a drawing of the features of a sheet part."""
 
-from __future__ import annotations
-
 import html
 
 from planner.geometry.units import MM

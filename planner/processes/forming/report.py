@@ -1,7 +1,5 @@
 """What forming adds to the report: the gap between two tools, words for faces."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Any, Final

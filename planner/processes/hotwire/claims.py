@@ -1,7 +1,5 @@
 """Claims of hot-wire cuts."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 
@@ -77,7 +75,7 @@ class KerfCurve:
     high: FloatArray
 
     @staticmethod
-    def constant(width: float) -> KerfCurve:
+    def constant(width: float) -> "KerfCurve":
         """A slot of one width at every speed, taken as exact."""
         table = np.full(2, float(width))
         return KerfCurve(np.array([0.0, 1.0]), table, table, table)

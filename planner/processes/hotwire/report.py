@@ -1,7 +1,5 @@
 """What hot-wire cuts add to the report: tiles, rows of the setup sheet, charts over time, words for faces."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Sentences that programs of hot-wire cuts show operators."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.claims.sentences import Sentence

@@ -1,7 +1,5 @@
 """What must hold of a block that a cutter mills, as data, in the stock frame; see ``claims.claim``."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path
@@ -31,7 +29,7 @@ class SafeWays:
     plunge: float
     rapid: float
 
-    def tightened(self, allowance: Allowance) -> SafeWays:
+    def tightened(self, allowance: Allowance) -> "SafeWays":
         """Return the ways with lower feeds."""
         faster = allowance.faster
         return dataclasses.replace(self, plunge=self.plunge / faster, rapid=self.rapid / faster)
@@ -112,7 +110,7 @@ class MillsAlong(_Toleranced, Claim):
     file: str = ""
     line: IntArray | None = None
     dwell: float = 0.0
-    back: MillsAlong | None = None
+    back: "MillsAlong | None" = None
 
     @property
     def longest_stop(self) -> tuple[Segment, float] | None:

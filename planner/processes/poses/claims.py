@@ -1,7 +1,5 @@
 """Claims of poses that the user supplies."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar, Final
 

@@ -1,8 +1,6 @@
 """What must hold of curves that are cut out of a sheet, as data, in the sheet's frame; see
 ``claims.claim``."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Final

@@ -5,8 +5,6 @@ Meetings are counted by what a program says, not by what the cell calls a meetin
 than its partner, or does something with a wire that has no part in the automata, that is a fault.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -52,7 +50,7 @@ class Wiring:
     watches: Mapping[str, frozenset[str]] = dataclasses.field(default_factory=dict)
 
     @staticmethod
-    def of(wires: Sequence[SignalWire], arms: Sequence[str], running: Sequence[SignalWire] = ()) -> Wiring:
+    def of(wires: Sequence[SignalWire], arms: Sequence[str], running: Sequence[SignalWire] = ()) -> "Wiring":
         """The wiring of the controllers of ``arms``."""
         drives: dict[str, dict[str, int]] = {arm: {} for arm in arms}
         reads: dict[str, dict[str, int]] = {arm: {} for arm in arms}

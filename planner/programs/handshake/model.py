@@ -16,8 +16,6 @@ what depends on places alone is put in relative form, and equal rows of states b
 expanded once. This is exact, and takes time in proportion to the programs' length.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What a program of URScript does with the wires between two controllers, as a row of moves."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Collection, Sequence
 from typing import Final, Literal

@@ -17,8 +17,6 @@ are looked at with fewer of the meetings that are alike (:mod:`handshake_windows
 a fault.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Final, Literal

@@ -15,8 +15,6 @@ work is told (:attr:`Windows.lost`), for then none of this holds. It may find mo
 reached: a fault has to be looked for in the whole.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Hashable, Sequence
 

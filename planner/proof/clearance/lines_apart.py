@@ -4,8 +4,6 @@ A line between two convex shapes shows that they are apart, whatever found it; s
 of what rides, which neither of them leaves its side of.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -2,8 +2,6 @@
 distances where they do not, and by Drake where bodies are nearest.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping

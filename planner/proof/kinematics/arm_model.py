@@ -7,8 +7,6 @@ Angerer, Hofbaur (2014), ortho-parallel basis and spherical wrist; the way from 
 parameters is worked out here. No figure comes from the catalogue.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Forward kinematics of a serial chain, computed in batches."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -1,8 +1,6 @@
 """External axes as the proof knows them: those that a task of the text moves, and where they have bases and
 bodies, by sums of its own."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

@@ -16,8 +16,6 @@ angle at which shoulder, elbow and wrist are in line, bit 2 where axis 5 is nega
 1 is set where axis i is negative.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

@@ -9,8 +9,6 @@ solution is near. Where that solution ends or another one comes near, joints are
 planner, which searches for all solutions of a pose.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

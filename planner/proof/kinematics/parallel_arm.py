@@ -9,8 +9,6 @@ are worked out here from the products of the table's frames; the planner has a f
 own. A branch is the number 4 * (wrist behind axis 1) + 2 * (axis 3 negative) + (axis 5 negative).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final

@@ -1,8 +1,6 @@
 """An arm with seven axes as the proof sees it, by the text of its URDF. Files of trajectories state its
 joints, so nothing here solves for them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

@@ -7,8 +7,6 @@ with what holds where no number is stated; places spread over surfaces, evenly a
 each time; `UnreadError`, which is what is wrong with a part file.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
@@ -75,13 +73,13 @@ class Samples:
     row: IntArray
     area: float
 
-    def moved(self, pose: FloatArray) -> Samples:
+    def moved(self, pose: FloatArray) -> "Samples":
         """The same, moved by ``pose`` (4, 4)."""
         turn = pose[:3, :3].T
         points, normals = self.points @ turn + pose[:3, 3], self.normals @ turn
         return Samples(points, normals, self.row, self.area)
 
-    def some(self, chosen: BoolArray) -> Samples:
+    def some(self, chosen: BoolArray) -> "Samples":
         """Those that are chosen (N,)."""
         return Samples(self.points[chosen], self.normals[chosen], self.row[chosen], self.area)
 

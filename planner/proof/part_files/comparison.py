@@ -7,8 +7,6 @@ then steps to the nearest places (Y. Chen and G. Medioni, 1992). At places of a 
 proof has read itself, it is then told how far each place is off the simulated part.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import Final
 

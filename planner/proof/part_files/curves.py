@@ -11,8 +11,6 @@ are joined. Of the ways in which two guides may be laid on each other that one c
 shortest rulings; where several are as short, each of them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from pathlib import Path

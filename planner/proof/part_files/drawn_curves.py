@@ -1,7 +1,5 @@
 """Curves of drawings, read again from their files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

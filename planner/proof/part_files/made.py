@@ -1,7 +1,5 @@
 """What the operations of a problem are to make, and what the programs make of it, as processes state it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final

@@ -3,8 +3,6 @@
 Faces come from files and from lofts; they are moved inwards, and their edges are joined.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

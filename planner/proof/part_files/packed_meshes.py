@@ -4,8 +4,6 @@ GLB: glTF 2.0 (ISO/IEC 12113): chunks of JSON and numbers, nodes with poses, met
 specification 1.3: XML in a ZIP, objects placed by components and items.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import zipfile

@@ -1,7 +1,5 @@
 """A face of the part seen from above: places on it and curves laid on it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -5,8 +5,6 @@ worked out here. B-splines by Cox and de Boor's steps on homogeneous points: L. 
 NURBS Book (1997), 4.2 to 4.4.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

@@ -5,8 +5,6 @@ the proof's own estimate, and how far a face is off those vertices: singly, and 
 places, where noise cancels and a wrong face does not.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, Final
 

@@ -5,8 +5,6 @@ its own points of the face's surface are taken here, not the B-splines that it m
 parameters that it finds for the face.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -9,8 +9,6 @@ to the leading edge and back below. Formulas: I. H. Abbott and A. E. von Doenhof
 Sections (1959), 6.4 to 6.6; C. L. Ladson and C. W. Brooks, NASA TM X-3284 (1975).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable

@@ -7,8 +7,6 @@ tool has come. Where a force turns with the feed, the feed is that of the loaded
 the straight moves that the program states.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Final

@@ -6,8 +6,6 @@ such speeds is within h^2/8 of it: the fastest of all steps, with the mean of tw
 a bound of the third derivative are nowhere exceeded. The bound is by the chain rule: each turn moves the tool
 by its distance from that axis at most, and so do several turns together, by that from the outermost axis."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Final

@@ -1,7 +1,5 @@
 """What stands between two moves, and how long it takes."""
 
-from __future__ import annotations
-
 from planner.programs.steps import (
     MessageStep,
     MoveStep,

@@ -3,8 +3,6 @@
 Speeds of a wire across itself come from its shapes at stations and the replay's clock.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -29,7 +27,7 @@ class Runs:
     which: NDArray[np.int32]
 
     @staticmethod
-    def of(vectors: FloatArray) -> FloatArray | Runs:
+    def of(vectors: FloatArray) -> "FloatArray | Runs":
         """Vectors (S, 3) in less memory, where runs are long; else as they are."""
         if not len(vectors):
             return vectors
@@ -41,7 +39,7 @@ class Runs:
         return Runs(vectors[fresh], np.cumsum(fresh, dtype=np.int32) - np.int32(1))
 
     @staticmethod
-    def joined(parts: Sequence[FloatArray | Runs]) -> FloatArray | Runs:
+    def joined(parts: "Sequence[FloatArray | Runs]") -> "FloatArray | Runs":
         """Vectors behind each other, of parts as :meth:`of` gives them; none of them is spread out where they
         take less memory as runs."""
         if len(parts) == 1:
@@ -78,19 +76,19 @@ class Poses:
     spin: FloatArray
 
     @staticmethod
-    def of(poses: FloatArray) -> Poses:
+    def of(poses: FloatArray) -> "Poses":
         """Of poses (S, 4, 4)."""
         out = Poses.empty(len(poses))
         out[:] = poses
         return out
 
     @staticmethod
-    def empty(count: int) -> Poses:
+    def empty(count: int) -> "Poses":
         """Room for ``count`` poses."""
         return Poses(np.empty((count, 3)), np.empty((count, 3)), np.empty(count))
 
     @staticmethod
-    def joined(parts: Iterable[Poses]) -> Poses:
+    def joined(parts: "Iterable[Poses]") -> "Poses":
         """Poses behind each other, to be read alone: a tool's axis stands for most of a long motion."""
         some = tuple(parts)
         z = Runs.joined([part.z if isinstance(part.z, Runs) else Runs.of(part.z) for part in some])

@@ -13,8 +13,6 @@ part of the rounding, which for dense targets is micrometres; outside zones the 
 line, as the manual says.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence

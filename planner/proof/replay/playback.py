@@ -9,8 +9,6 @@ one that the arm has at the start. See :mod:`planner.proof.replay.moves` for the
 between moves.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
@@ -327,7 +325,7 @@ class _Player:
         before: Mapping[str, FloatArray],
         look_move: IntArray,
         count: int,
-    ) -> _Carried:
+    ) -> "_Carried":
         """The frame that carries a row's work: at the last ``count`` samples of its arm, at the start, at
         nodes, and at instants between samples, when the moves ``look_move`` (C,) are under way."""
         name = str(row.carrier)
@@ -360,7 +358,7 @@ class _Player:
         law: moves.TimeLaw,
         at: FloatArray,
         looks: FloatArray,
-        carried: _Carried | None = None,
+        carried: "_Carried | None" = None,
     ) -> None:
         """The motion of one arm in a stage at times ``at`` (S,), and where it is at ``looks`` (C,)."""
         name = row.task.arm.name
@@ -469,7 +467,7 @@ class _Player:
         self.tools[name] = tool
         self.q[name] = row.q[-1]
 
-    def _own(self, row: Row, a: int, carried: _Carried | None, q: FloatArray, sample: int) -> FloatArray:
+    def _own(self, row: Row, a: int, carried: "_Carried | None", q: FloatArray, sample: int) -> FloatArray:
         """TCP (4, 4) of joints in the frame of the row's poses, at a sample, before move a."""
         here = row.base_behind(a) @ row.robot.flange(q) @ row.tool[a]
         return np.asarray(here if carried is None else inverse(carried.samples[sample]) @ here)

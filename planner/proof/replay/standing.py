@@ -1,7 +1,5 @@
 """Intervals in which the tools stand while they work."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

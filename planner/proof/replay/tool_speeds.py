@@ -1,7 +1,5 @@
 """How fast tools that trajectories drive are on the way to each target, at every instant."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Final

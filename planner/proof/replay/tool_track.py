@@ -1,7 +1,5 @@
 """The path of a tool through the replayed motion."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

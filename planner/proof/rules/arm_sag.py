@@ -4,8 +4,6 @@ That the arms then stand where they are wanted all other rules see, for places o
 of the bent arms (`planner.proof.replay.bending`).
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

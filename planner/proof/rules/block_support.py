@@ -1,7 +1,5 @@
 """verify.rests: what bears a block, the gripper of an arm or what it stands on."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from typing import Final

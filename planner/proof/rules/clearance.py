@@ -7,8 +7,6 @@ that both are in the same interval, or one of them at its end. So of each interv
 instants counts, one for each arm.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -72,7 +70,7 @@ class Looks:
         beside what the physics needs."""
         return self.links if self.sent else {arm: q[self.rows] for arm, q in self.links.items()}
 
-    def __reduce__(self) -> tuple[type[Looks], tuple[Any, ...]]:
+    def __reduce__(self) -> "tuple[type[Looks], tuple[Any, ...]]":
         """Another process gets no more than the samples that are looked at."""
         return Looks, (self.index, self.rows, self.ignore, self.q, self.itself, self.bases, True)
 
@@ -275,7 +273,7 @@ class Intervals:
     last: IntArray
     stage: IntArray
 
-    def some(self, chosen: BoolArray | IntArray) -> Intervals:
+    def some(self, chosen: BoolArray | IntArray) -> "Intervals":
         """Some of them."""
         return Intervals(self.first[chosen], self.last[chosen], self.stage[chosen])
 

@@ -5,8 +5,6 @@ watch each other. verify.cell_check: the part of a program that compares the cel
 moves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import PurePosixPath
 

@@ -4,8 +4,6 @@ The text must equal, word for word, what follows from the problem, at the right 
 added.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence

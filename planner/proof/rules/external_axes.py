@@ -5,8 +5,6 @@ verify.external_axes: units, values and folded arms, from the text, and the plac
 Where arms and the block stand in all other rules is read here as well. Ways from station to station are for
 verify.track_way."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 What the model check found is put in words: arms, lines of programs, signals, what waits for what.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Final
 

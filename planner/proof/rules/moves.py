@@ -4,8 +4,6 @@ verify.unknown_start looks at moves by joints: the text states their speeds only
 the first one is unknown.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

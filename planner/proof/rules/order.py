@@ -1,7 +1,5 @@
 """The rule on the order of segments."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planner.claims.claim import FeedWindow

@@ -6,8 +6,6 @@ problem puts it; where it leaves that open, a rigid motion, without mirror or sc
 all surfaces at once onto what the programs make, within the block.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import re

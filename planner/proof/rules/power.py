@@ -1,7 +1,5 @@
 """The rule on signals of power sources."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from planner.claims.claim import powers

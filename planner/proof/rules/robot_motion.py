@@ -5,8 +5,6 @@ The others are verify.reach, corner, continuity, joint_limits, rod_limits, joint
 joint_acceleration, singularity and tcp_speed.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final

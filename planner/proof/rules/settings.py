@@ -1,7 +1,5 @@
 """Rules on settings of the motion, and on what programs hide: verify.motion_settings and hidden."""
 
-from __future__ import annotations
-
 from planner.issues import Issue
 from planner.programs.steps import (
     LoadStep,

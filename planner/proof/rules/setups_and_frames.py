@@ -4,8 +4,6 @@ verify.tool_data, work_object, held_frame, load, base_frames: tools, work object
 and bases. verify.setup: who confirms setups, and what stands where in each of them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from planner.catalogue.robots import RobotData

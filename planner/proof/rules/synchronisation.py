@@ -4,8 +4,6 @@ verify.task_list, sync_order, move_count, move_ids, zone_kind, move_time, speed_
 and stop_before_logic.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

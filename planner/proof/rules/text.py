@@ -6,8 +6,6 @@ Changed targets are known by their digits, of which the language of a file knows
 changed target, the issue names it as the likely cause.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Collection, Iterable

@@ -6,8 +6,6 @@ whether there is one for all targets. What the planner smooths it by is bounded 
 the tool's way, of which each weighs what is farther off less.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

@@ -6,8 +6,6 @@ the proof's own. That what rides keeps off all that stands, what bears it except
 shapes go along the lines on which the distances were found: a line between two convex shapes shows that they
 are apart, whatever found it."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Mapping
 

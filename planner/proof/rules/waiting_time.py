@@ -4,8 +4,6 @@ verify.power_idle: how long arms may stand with the power of a wire or a spindle
 verify.meeting_time: how long tasks wait where they meet.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 

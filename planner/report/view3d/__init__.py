@@ -1,7 +1,5 @@
 """The 3D view of pages: WebGL scripts that the service sends as modules and offline files hold as text."""
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Points stand in each robot's own base. In the cell's file only the numbers chang
 stay.
 """
 
-from __future__ import annotations
-
 import copy
 import csv
 import dataclasses

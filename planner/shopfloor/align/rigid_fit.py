@@ -4,8 +4,6 @@ Least squares after Kabsch (1976) with Umeyama's sign (1991), so that no reflect
 are bad: the fewest whose absence lets the others agree.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """What the programs need of an ABB controller, from their own text, against what the controller says."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Programs brought back from a controller: all files of a folder there, by their names in it."""
 
-from __future__ import annotations
-
 from pathlib import PurePosixPath
 
 from planner.issues import Issue, TandemError

@@ -3,8 +3,6 @@
 Digest access authentication: RFC 7616 (MD5, qop "auth"). The password is in no message and no log.
 """
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import hashlib

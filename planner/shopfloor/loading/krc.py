@@ -6,8 +6,6 @@ have them; no controller was there. Our programs bring their own frames under th
 the same name must be the same, and one of another name says nothing.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import Final

@@ -4,8 +4,6 @@ A controller that saves a module prints 160.0000 as 160, 9E9 as 9E+09 and single
 digits; none of that is a change.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from typing import Final
@@ -28,11 +26,11 @@ class Shape:
     words: str
     numbers: tuple[float, ...]
 
-    def same(self, other: Shape) -> bool:
+    def same(self, other: "Shape") -> bool:
         """Whether the two differ in how they are printed at most."""
         return self.words == other.words and not self.apart(other)
 
-    def apart(self, other: Shape) -> tuple[int, ...]:
+    def apart(self, other: "Shape") -> tuple[int, ...]:
         """Which numbers differ, of two shapes with the same words."""
         pairs = enumerate(zip(self.numbers, other.numbers, strict=True))
         return tuple(k for k, (a, b) in pairs if not equal(a, b))

@@ -4,8 +4,6 @@ Nothing is judged here, and no text is refused: what somebody typed at a pendant
 it is a program is for the proof to say.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import PurePosixPath

@@ -16,8 +16,6 @@ Base frames are read from MOC, where ``base_frame_pos_x`` is in metres (Technica
 parameters; abb_librws of ros-industrial reads the same).
 """
 
-from __future__ import annotations
-
 import contextlib
 import html
 import json

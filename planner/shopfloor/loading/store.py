@@ -4,8 +4,6 @@ FTP by the standard library's ``ftplib`` (RFC 959), with TLS for ``ftps://`` (RF
 say that there is no room (RFC 959, 4.2.1).
 """
 
-from __future__ import annotations
-
 import ftplib
 import io
 import re

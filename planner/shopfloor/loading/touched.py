@@ -5,8 +5,6 @@ lines) is no change. Positions are in mm; turns in degrees, of RAPID by quaterni
 about z, B about the new y, C about the new x (KUKA, KSS operating and programming instructions).
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """A verified result onto a controller: compared, written into a new folder, read back, never started."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath

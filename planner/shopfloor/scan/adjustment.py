@@ -12,8 +12,6 @@ every springback file is. What is formed in a pass whose face is not the part's 
 tools go as they went.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence

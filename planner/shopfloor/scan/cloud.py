@@ -5,8 +5,6 @@ line, x, y and z first, with blanks, tabs, commas or semicolons between; its fir
 count.
 """
 
-from __future__ import annotations
-
 import codecs
 import dataclasses
 import hashlib

@@ -6,8 +6,6 @@ hardly moves; a place without feet is part of a hole. Points far from what is ar
 stray.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Final

@@ -11,8 +11,6 @@ with the step's 0.18th power, and springback with about the 0.55th of the force.
 by S the next one, which is to be formed as it is wanted, comes back by S rate^(-0.18 0.55).
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -6,8 +6,6 @@ scan is taken as it lies, and told is what that may hide: which move and turn in
 of what the part is off, how much of it, and what each millimetre and degree puts on the field.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -7,8 +7,6 @@ flat holds height and tilt alone, the marks hold the rest. What is formed comes 
 nothing of it is used; a fit to the whole part would hide what is to be measured by tilting it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

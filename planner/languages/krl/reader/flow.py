@@ -4,8 +4,6 @@ The subset has no conditions but the guarded wait, so there is one way. Settings
 not stated itself behind BAS(#INITMOV,0) is not known, and no move may depend on it.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

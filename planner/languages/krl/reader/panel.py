@@ -9,8 +9,6 @@ operator answers it: a dialog (krc4), or HALT in a mode of operation in which no
 (krc2), which the statement behind it sees to.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A long program has thousands of moves and speeds; those lines are tried first, each by one expression.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 

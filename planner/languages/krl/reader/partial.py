@@ -1,7 +1,5 @@
 """Programs of any origin, read as far as possible."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from contextlib import suppress

@@ -4,8 +4,6 @@
 with the writer: it knows the language from docs/krl.md and the sources named there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath

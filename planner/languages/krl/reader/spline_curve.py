@@ -43,8 +43,6 @@ is no other place. Segments turn by MOST_TURN at most: what rotation vectors add
 of the third order of that, and less than what the grid's factor leaves.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final
@@ -165,7 +163,7 @@ class _Curve:
     high: FloatArray
     size: FloatArray
 
-    def at_rest(self, missing: BoolArray, ends: tuple[int, ...] = (1, 3)) -> _Curve:
+    def at_rest(self, missing: BoolArray, ends: tuple[int, ...] = (1, 3)) -> "_Curve":
         """The same with the arm at rest, V = A = 0, where a segment is the first (1) or last (3) one."""
         across, low, high = self.across.copy(), self.low.copy(), self.high.copy()
         for end in ends:

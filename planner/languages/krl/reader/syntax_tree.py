@@ -5,8 +5,6 @@ variables and their units (m/s, deg/s, mm, deg, percent): KUKA's expert manual a
 posts and grammars; docs/krl.md says which of them were seen where.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple

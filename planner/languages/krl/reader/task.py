@@ -1,7 +1,5 @@
 """The task of an arm: its programs, and what they do."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.languages.krl.reader import reader

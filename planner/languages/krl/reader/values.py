@@ -20,8 +20,6 @@ the time at END: of the two usages that were seen, percents of 100 and the secon
 both mean that, and no other sum is taken.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -1,7 +1,5 @@
 """What KRL contributes to the proof."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.claims import sentences

@@ -1,7 +1,5 @@
 """The files of KUKA controllers: variables, submit interpreter and IR_STOPM."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The look of KRL programs at external axes."""
 
-from __future__ import annotations
-
 from planner.languages.krl.reader.flow import AXIS_LOOK
 from planner.languages.krl.sentences import KRL_AXIS_AWAY
 from planner.programs.steps import SettingStep

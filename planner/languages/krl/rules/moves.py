@@ -1,7 +1,5 @@
 """Moves of KRL programs: approximation, accelerations and status."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

@@ -8,8 +8,6 @@ much at most, and :func:`tightened` takes it off clearance, margins, tolerances 
 for all rules.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Final

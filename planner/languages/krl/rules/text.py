@@ -4,8 +4,6 @@ Programs are written with 4 decimals of mm and 5 of degrees throughout. KSS writ
 precision, so that the decimals vary with the size of a number (seen in public programs).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import Final

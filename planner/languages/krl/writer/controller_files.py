@@ -5,8 +5,6 @@ real output where the cell has one besides the program's request, and hold the a
 says how it goes on, or, where a torch burned, until the program is reset.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Final
 

@@ -9,8 +9,6 @@ is negative. Sources: KUKA's expert programming manual as cited in a forum (bit 
 real robots (bits 1, 2).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import Final

@@ -1,7 +1,5 @@
 """KRL, as programs are written in it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

@@ -5,8 +5,6 @@ which the TCP keeps its limit. For two controllers that share digital signals th
 :mod:`planner.languages.writing.handshake` are put as text.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -11,8 +11,6 @@ counts it. docs/krl.md says which curves are meant; the proof has its own count
 move are counted in its own length.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence

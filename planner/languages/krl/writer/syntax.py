@@ -8,8 +8,6 @@ there are none (krc2), that mode is refused.
 text. KRL states no times: a move's speeds are those that its planned time asks for, rounded down.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import textwrap
@@ -472,7 +470,7 @@ class Lines:
         head = _settings(self.values[row].tolist()) if fresh else self.settings[row]
         return [*head.splitlines(), *self.move[row].splitlines()]
 
-    def replaced(self, move: list[str], values: FloatArray) -> Lines:
+    def replaced(self, move: list[str], values: FloatArray) -> "Lines":
         """With other text for the moves, which may have several lines, and other values in force."""
         return Lines(move, _changes(values), values)
 

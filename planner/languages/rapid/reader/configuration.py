@@ -1,7 +1,5 @@
 """Configuration files of ABB controllers."""
 
-from __future__ import annotations
-
 import re
 from typing import Final
 

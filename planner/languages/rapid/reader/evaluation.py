@@ -1,7 +1,5 @@
 """Values of names and expressions while a task runs, as far as they are known before it does."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any

@@ -5,8 +5,6 @@ has thousands of moves that differ in their numbers only: whatever does not matc
 exactly goes the ordinary way, which gives the same result and explains faults.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

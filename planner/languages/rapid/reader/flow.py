@@ -5,8 +5,6 @@ decided. A condition known at run time only (an operator's answer, IsSyncMoveOn(
 over motion, signals or synchronisation: such a program cannot be proven and is refused.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress

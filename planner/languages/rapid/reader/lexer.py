@@ -7,8 +7,6 @@ Forms of instructions, with what arguments they take: ABB, Technical reference m
 Instructions, Functions and Data types, 3HAC16581-1.
 """
 
-from __future__ import annotations
-
 import re
 from bisect import bisect_right
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Modules of any origin, read as far as possible."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from bisect import bisect_left, insort

@@ -1,7 +1,5 @@
 """The modules of a task."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 with the writer: it knows the language from ABB's manuals only.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable, Iterable, Mapping

@@ -7,8 +7,6 @@ zones: ABB, Technical reference manual RAPID Instructions, Functions and Data ty
 (robtarget, speeddata, zonedata...).
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable
@@ -282,7 +280,7 @@ class Aggregate:
     """`[a, b, ...]` whose type its place decides."""
 
     start: int
-    items: tuple[Expr, ...]
+    items: "tuple[Expr, ...]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,7 +302,7 @@ class Function:
 
     start: int
     text: str
-    arguments: tuple[Expr, ...]
+    arguments: "tuple[Expr, ...]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,7 +311,7 @@ class Unary:
 
     start: int
     operator: str
-    operand: Expr
+    operand: "Expr"
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,8 +320,8 @@ class Binary:
 
     start: int
     operator: str
-    left: Expr
-    right: Expr
+    left: "Expr"
+    right: "Expr"
 
 
 Expr = Literal | Aggregate | Name | Function | Unary | Binary

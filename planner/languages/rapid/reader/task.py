@@ -1,7 +1,5 @@
 """The task of an arm: its modules, and what they do."""
 
-from __future__ import annotations
-
 import functools
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Names and types over all modules of one task: what is declared, what is used, whether it fits."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """The cell check of RAPID programs: positions and frames that it compares."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import PurePosixPath

@@ -1,7 +1,5 @@
 """The rule on configuration data of RAPID targets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

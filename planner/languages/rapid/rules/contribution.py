@@ -1,7 +1,5 @@
 """What RAPID contributes to the proof."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.claims import sentences

@@ -1,7 +1,5 @@
 """The files of ABB controllers: signals, cross connections, system events and the module TandemPower."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Parts of verify.external_axes that RAPID alone has: mechanical units, offsets, and the look at axes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from planner.issues import Issue

@@ -1,7 +1,5 @@
 """Parts of the rules on moves that RAPID alone has: speeds from an unknown start, and kinds of moves."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -5,8 +5,6 @@ stop no program goes on, nothing asks whether it is on, nobody sets its request 
 that begins anew leads out. The words of that are the proof's own, those of other power have one wording.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Rules on error handlers, UNDO sections and attributes of modules of RAPID programs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import PurePosixPath
 

@@ -4,8 +4,6 @@ Programs are written with 4 decimals of mm and 8 of quaternions throughout. ModP
 6 digits of a quaternion (seen in backups of six cells).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import PurePosixPath

@@ -6,8 +6,6 @@ start behind a stop in a cut. Behind a stop at which a torch burned no program g
 anew is asked about, and nobody sets a torch's request by hand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal
 

@@ -4,8 +4,6 @@ A module of its own compares, before anything moves, what the controller has wit
 base frame, tools and work objects.
 """
 
-from __future__ import annotations
-
 import itertools
 import textwrap
 from collections.abc import Iterable

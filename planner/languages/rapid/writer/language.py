@@ -1,7 +1,5 @@
 """RAPID, as programs are written in it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Final

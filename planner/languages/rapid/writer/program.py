@@ -4,8 +4,6 @@ For two controllers that share digital signals the steps of :mod:`planner.langua
 put as text.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

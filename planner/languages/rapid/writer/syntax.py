@@ -6,8 +6,6 @@ the lower arm) + (axis 5 negative). Source: ABB, Technical reference manual RAPI
 Functions and Data types, 3HAC16581-1, data type confdata.
 """
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Collection, Iterable, Sequence

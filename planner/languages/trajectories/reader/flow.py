@@ -6,8 +6,6 @@ waited for stands in the way of the first arm. A move with segments is work: its
 cubic that the controller lays through positions and velocities. One without is a way from rest to rest,
 straight in joint space. The first point of either is where it begins."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Final, NoReturn

@@ -1,7 +1,5 @@
 """The text of an arm that a file of trajectories moves."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar
 

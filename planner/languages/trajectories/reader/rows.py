@@ -5,8 +5,6 @@ that stands twice, a key or kind of row that is not known, and a last row that d
 rows before it are faults. The reader shares no code with the writer: it knows the rows from
 docs/trajectories.md."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

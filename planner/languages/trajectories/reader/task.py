@@ -1,7 +1,5 @@
 """The tasks of all arms that one file moves."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

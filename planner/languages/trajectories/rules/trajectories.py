@@ -1,8 +1,6 @@
 """Rules about files of trajectories: where moves begin, what ends them, what falls then, and the way between
 points."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Mapping
 from typing import Final

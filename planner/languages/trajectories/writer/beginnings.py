@@ -4,8 +4,6 @@ A controller may begin a goal where its arms are measured, not where it last had
 before a move allows off. So the first point of each move is the place itself, at rest, so late that joints
 that are that much off come to it within all limits. Then nothing that follows depends on where they were."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Final
 

@@ -1,7 +1,5 @@
 """When curves pass targets, and places between them: what melts is wider where they are slow."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

@@ -5,8 +5,6 @@ with continuous accelerations from rest to rest, or from corner to corner. Where
 straight way between two targets by more than ``KEPT`` a point is set between them, on that way, and the
 spline laid anew. Where joints would be too fast, or sped up too fast, points come later."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -106,7 +104,7 @@ class Wanted:
     kept: float = KEPT
     kept_turn: tuple[float, ...] = (KEPT_TURN, KEPT_TURN)
 
-    def some(self, a: int, b: int) -> Wanted:
+    def some(self, a: int, b: int) -> "Wanted":
         """Of the ways a to b - 1."""
         own = slice(a, b)
         return dataclasses.replace(

@@ -1,7 +1,5 @@
 """Trajectories of ROS 2, as they are written."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.languages.trajectories.writer.program import write

@@ -4,8 +4,6 @@ What the tasks of a job do side by side becomes one sequence: an action of the a
 to rest, a goal of work. Before each goal the runner looks where the joints are; each step that may not end
 names the outputs that are on, which the runner takes back then."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """What trajectory files cannot express."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from planner.issues import Issue

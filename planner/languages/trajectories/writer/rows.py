@@ -3,8 +3,6 @@
 
 Metres, radians, seconds, kilograms; a pose is a position and a rotation vector."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -1,8 +1,6 @@
 """Arms that are driven, and the straight ways of their tools: how far a place has gone on one, and the joints
 of a place on it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final
@@ -28,7 +26,7 @@ class Driven:
     base: FloatArray
     tcp: FloatArray
     columns: slice
-    carrier: Driven | None = None
+    carrier: "Driven | None" = None
 
     def place(self, q: FloatArray) -> FloatArray:
         """TCP poses (..., 4, 4) in the world of joints (..., D) of all arms."""

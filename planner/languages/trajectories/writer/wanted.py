@@ -1,7 +1,5 @@
 """What a process wants of the points of its work: feeds, standstill, how near tools keep to their ways."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final
 

@@ -12,8 +12,6 @@ A torch that has a thread burns from its output's rise on, at rest; behind the w
 the thread begins, and only straight moves stand between that and its end, with which the output falls.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

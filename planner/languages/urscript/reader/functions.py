@@ -2,8 +2,6 @@
 inputs, outputs, a text, and times.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Final
 

@@ -4,8 +4,6 @@ Whatever is not of such a form is a fault with its line. Words count with their 
 with # and say nothing, but for the head of a segment.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable

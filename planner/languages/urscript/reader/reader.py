@@ -4,8 +4,6 @@
 code with the writer: it knows the language from docs/urscript.md and the sources named there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import PurePosixPath

@@ -1,7 +1,5 @@
 """URScript as read: statements and data, each with its line, in the language's units: m, s, rad."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal

@@ -1,7 +1,5 @@
 """The task of an arm: its program, and what it does."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from typing import Final

@@ -5,8 +5,6 @@ A controller may be paused anywhere, and goes on in the middle. Its output is lo
 torch burns only where nothing moves yet, or where a thread watches that it does.
 """
 
-from __future__ import annotations
-
 import enum
 from collections.abc import Callable
 from typing import NoReturn

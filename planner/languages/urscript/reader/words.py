@@ -2,8 +2,6 @@
 and of functions have in common. Numbers are plain or with an exponent, smaller than a controller's largest.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -92,7 +90,7 @@ class Line:
         self.at += 1
         return word.text
 
-    def values(self, *parts: Part) -> list[Any]:
+    def values(self, *parts: "Part") -> list[Any]:
         """The values of what stands next, which has to be of this form."""
         out = []
         for part in parts:
@@ -103,7 +101,7 @@ class Line:
                 out.append(part(self))
         return out
 
-    def rest(self, *parts: Part) -> list[Any]:
+    def rest(self, *parts: "Part") -> list[Any]:
         """The values of all that is left of the line, which has to be of this form."""
         out = self.values(*parts)
         if self.next.kind != "end":

@@ -1,7 +1,5 @@
 """Parts of verify.handshake that only URScript has: watching the other program, starting anew after stops."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.issues import Issue

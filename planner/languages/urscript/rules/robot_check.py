@@ -1,7 +1,5 @@
 """The robot check at the start of URScript programs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planner.geometry.arrays import inverse

@@ -1,7 +1,5 @@
 """URScript, as programs are written in it."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.languages.urscript.writer.program import write

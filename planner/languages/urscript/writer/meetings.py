@@ -1,7 +1,5 @@
 """Meetings with a program on another controller of UR, by programs that watch each other themselves."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from planner.claims import sentences

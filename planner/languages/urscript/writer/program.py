@@ -16,8 +16,6 @@ Moves by joints state the speed of their leading axis, at which the TCP keeps it
 moves state their time and a blend radius.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

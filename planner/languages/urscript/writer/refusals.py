@@ -1,7 +1,5 @@
 """What programs of UR's controllers cannot do."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 

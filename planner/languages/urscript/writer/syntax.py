@@ -4,8 +4,6 @@ Metres, seconds, radians; a pose is a position and a rotation vector, ``p[x,y,z,
 popup holds the program until somebody presses Continue at the panel.
 """
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Sequence

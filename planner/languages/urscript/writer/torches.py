@@ -9,8 +9,6 @@ least (2 % at the panel, 0 by RTDE; issue 58 of Universal_Robots_Client_Library)
 Nothing is watched before the torch is to move: a pause there is seen by the first look of the thread.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

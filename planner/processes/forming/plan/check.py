@@ -8,8 +8,6 @@ projections (Boyle and Dykstra 1986). In a corner between two planes at the angl
 stays R (1 / cos(a / 2) - 1) off.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Final

@@ -4,8 +4,6 @@ The claim of the part (`wanted_part`) is what a forming operation is to make, co
 worked out by nobody: all other claims of its passes are held against it.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -7,8 +7,6 @@ for a ball above a face whose normals point up. For a ball below, mirror the fac
 tools are.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

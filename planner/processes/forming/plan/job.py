@@ -9,8 +9,6 @@ choose: spin, and tilt in a cone.
 **Exhibits** for the report: features, wall angle and thickness, paths, gap, the setup sheet.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence

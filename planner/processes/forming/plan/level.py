@@ -5,8 +5,6 @@ The flat first loop belongs to the first level. Levels are counted from 0, as th
 count them; level K goes from K to K + 1 stepdowns below the flat, a spiral's last one flat along its end.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -13,8 +13,6 @@ sheet's frame stands for. The clamp's bars reach over all places that they pass,
 flat sheet: bodies keep clear of both at every height at once, whenever they are there.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
@@ -35,12 +33,12 @@ from planner.processes.forming.plan.stages import order_of, with_states
 from planner.reading.strict_yaml import Angle, Name, Strict, Unit
 
 
-def die_mesh(die: Die) -> TriangleMesh:
+def die_mesh(die: "Die") -> TriangleMesh:
     """The die's mesh [m] in the sheet's frame. Raises ``TandemError`` for files that cannot be read."""
     return read_mesh(die.file, LENGTH_UNITS[die.unit])
 
 
-def with_die(die: Die, side: int, stock: Stock, part: Part | None) -> Stock:
+def with_die(die: "Die", side: int, stock: Stock, part: Part | None) -> Stock:
     """The stock with the die behind it and, where the holder sinks, with clamp and sheet drawn out towards
     ``side`` (+1 top) over all heights at which they are. Raises ``TandemError``: issues of the die's file."""
     if stock.sheet is None:

@@ -13,8 +13,6 @@ give. They are single trials of one lab with metals of unstated alloy: hints of 
 no limits.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -5,8 +5,6 @@ paths of both tools over each pass, whatever the mode; `lay_out` is the whole wa
 over the sheet to each pass, down onto it, along it, and off again.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence

@@ -7,8 +7,6 @@ cos(a) at a wall of angle a: the sine law t = t0 sin(90 deg - a).
 **Force** along the tool that single point incremental forming takes, for choosing robots: `axial_force`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Final

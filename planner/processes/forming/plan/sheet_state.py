@@ -8,8 +8,6 @@ with its floor.
 Tools are held against it at targets and on the moves between (`clear_issues`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence

@@ -8,8 +8,6 @@ neither is known here. So both the tools and all that an operation forms keep of
 a stated margin, seen along z; a hole that nothing formed later comes near to stays where it was cut.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any, Final

@@ -10,8 +10,6 @@ plan; between levels, and between the rows of a table, by z; beyond the first an
 spiral counts for its middle, another one for its end.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Final

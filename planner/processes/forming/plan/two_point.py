@@ -16,8 +16,6 @@ pulse, on and off, and gives no answer), and how the sheet bends between the too
 up to a step off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Final
 

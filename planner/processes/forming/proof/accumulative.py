@@ -8,8 +8,6 @@ position angle [deg] and wall angle [deg], linear between cells; what is no numb
 Conditions stand before them, a line each: ``# key: value``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """What forming contributes to the proof."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 

@@ -8,8 +8,6 @@ the planner are the elements' bending, the corotational frame and the search for
 which plates, cones and CalculiX are held against.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -14,8 +14,6 @@ ball of radius R stays R (1 / cos(a / 2) - 1) off, in the tip of a cone whose wa
 R (1 / cos a - 1).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable
@@ -185,7 +183,7 @@ class Nearest:
     share: FloatArray
     tied: FloatArray
 
-    def at(self, chosen: IntArray) -> Nearest:
+    def at(self, chosen: IntArray) -> "Nearest":
         """Of some of the points, ``chosen`` (K,), in their order."""
         new = np.full(len(self.apart), -1)
         new[chosen] = np.arange(len(chosen))
@@ -195,7 +193,7 @@ class Nearest:
         points = self.place[chosen], self.apart[chosen], self.signed[chosen]
         return Nearest(*points, row[use], self.triangle[use], self.share[use], self.tied[use])
 
-    def followed_by(self, other: Nearest) -> Nearest:
+    def followed_by(self, other: "Nearest") -> "Nearest":
         """Of these points and then of the ``other`` ones."""
         return Nearest(
             np.concatenate([self.place, other.place]),

@@ -6,8 +6,6 @@ segment is asked. Which level that is, and where it lies, follows from the probl
 pass goes from K to K + 1 steps below the flat around it, the last one of a spiral along its end.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ square to its way: a ray to either side meets it. No loop is known by number. Th
 are commanded is held against what a metal stands in one pass, and told beside the wall without the shifts.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 
@@ -201,7 +199,7 @@ class _Above:
     def apart(self) -> FloatArray:
         return np.hypot(self.away, self.released)
 
-    def at(self, rows: IntArray) -> _Above:
+    def at(self, rows: IntArray) -> "_Above":
         return _Above(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
 
 

@@ -1,7 +1,5 @@
 """The formed sheet against the sheet of the part file."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

@@ -7,8 +7,6 @@ ever comes. Loops go down by a step from the highest place that is not formed, a
 the sheet is as low as the tip has been. On ways in and out tools go straight.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Tools that go deeper by what the sheet comes back by: their files, and where they are without that."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ the scan less the part's face at the same place in plan, and of these the median
 plane wall both say the same along z. Where the scan lies is asked of its flat and of its marks.
 """
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

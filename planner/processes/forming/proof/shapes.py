@@ -5,8 +5,6 @@ with each other. `Overhead` sees triangles along z: which of them lie over a pla
 where on them it is.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Sequence

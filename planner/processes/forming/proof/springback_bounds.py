@@ -6,8 +6,6 @@ The planner has an interpolation of its own; both hold what is between control p
 sheet says there, and `verify.springback` works out some of it anew.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cached_property
 

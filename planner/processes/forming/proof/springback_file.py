@@ -7,8 +7,6 @@ that does not give way. A way that is elsewhere than the file's stays as far off
 stated slope at most.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

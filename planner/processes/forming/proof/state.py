@@ -4,8 +4,6 @@ A track is where a forming tool is while it forms: its centres and axes in the s
 the same way as few straight pieces from which it is off by no more than a stated bound.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property

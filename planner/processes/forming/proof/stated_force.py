@@ -6,8 +6,6 @@ around it; of a spiral its force is that of the middle, else of the end. Around 
 along straight lines in plan from one point to the next.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 from pathlib import Path

@@ -6,8 +6,6 @@ left out makes the next step twice as deep, and ridges hardly tell: on steep wal
 ones they are a little of the whole.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -6,8 +6,6 @@ Below, the sheet still hangs from the ball, nearer to the forming tool than the 
 `HeadWay` says whether points are inside the head of a tool anywhere along its way.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
@@ -61,7 +59,7 @@ class Swept:
     contour: float | None = None
 
     @staticmethod
-    def of(one: Formed) -> Swept:
+    def of(one: Formed) -> "Swept":
         """Of a pass; without its track, which long motions have many samples of."""
         use = one.track.own[one.pieces.first]
         start, end = (one.track.centre[rows[use], 0] for rows in (one.pieces.first, one.pieces.last))
@@ -307,7 +305,7 @@ class HeadWay:
     turn: FloatArray
 
     @staticmethod
-    def of(centre: ByRow, axis: ByRow, rise: FloatArray, back: float) -> HeadWay:
+    def of(centre: ByRow, axis: ByRow, rise: FloatArray, back: float) -> "HeadWay":
         """Of rows (T, ...), those between which nothing up to ``back`` [m] behind the TCP goes farther than
         half of ``LOOK_STEP``, or single steps that are longer."""
         kept: list[tuple[IntArray, FloatArray, FloatArray]] = []
@@ -353,7 +351,7 @@ class Head:
     balls: tuple[tuple[float, float], ...]
 
     @staticmethod
-    def of(profile: FloatArray, begin: float) -> Head:
+    def of(profile: FloatArray, begin: float) -> "Head":
         """The part of a tool of radius profile (K, 2) from ``begin`` [m] behind its TCP on."""
         back, radius = profile[:, 0], profile[:, 1]
         if begin > back[0]:

@@ -1,7 +1,5 @@
 """Where forming tools are while they form, and few straight pieces in place of their motion."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Any, Final, Protocol

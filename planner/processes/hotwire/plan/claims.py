@@ -21,8 +21,6 @@ its own.
 How stiff and how heavy a bent wire is follows from its section and its material's constants.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Final

@@ -1,7 +1,5 @@
 """Whether the arms drive a wire as fast as it has to be in the foam: one that is slow burns it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Final

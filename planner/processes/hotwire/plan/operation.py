@@ -5,8 +5,6 @@ common: heat, speeds, power. `Heat` says how hot the wire is: by the slot's widt
 in a foam one knows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Annotated, Final, Literal, Self
 
@@ -46,7 +44,7 @@ class Heat(Strict):
     )
 
     @model_validator(mode="after")
-    def _one_heat(self) -> Heat:
+    def _one_heat(self) -> "Heat":
         if (self.kerf_mm is None) == (self.power_w is None):
             raise ValueError("give kerf_mm, the slot's width, or power_w, one of them")
         if self.kerf_range_mm[0] >= self.kerf_range_mm[1]:
@@ -137,7 +135,7 @@ class ElasticWire(HotWireOperation):
         return stock
 
     @model_validator(mode="after")
-    def _consistent(self) -> ElasticWire:
+    def _consistent(self) -> "ElasticWire":
         if self.arms[0] == self.arms[1]:
             raise ValueError("arms: two different arms hold the wire's ends")
         if len(set(self.faces)) != len(self.faces):
@@ -171,7 +169,7 @@ class ElasticWire(HotWireOperation):
         wires = map(WireFile.of, at_hand)
         return tuple(wire for wire in wires if wire.is_round or self.power_w is None)
 
-    def using(self, wire: WireFile, sweep: float | None = None) -> ElasticWire:
+    def using(self, wire: WireFile, sweep: float | None = None) -> "ElasticWire":
         """This operation with a wire, and a sweep [deg from x], in place of what it leaves open."""
         return self.model_copy(update={"wire": wire} | ({} if sweep is None else {"sweep": sweep}))
 

@@ -1,8 +1,6 @@
 """One wire or strip at its working temperature: what it weighs, how stiff it is, how far it bends, how
 long it was cold."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Literal

@@ -1,7 +1,5 @@
 """What hot-wire cutting contributes to the proof."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 

@@ -14,8 +14,6 @@ on the other side of a wall of the part does not count: what is cut there takes 
 side.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 
@@ -64,7 +62,7 @@ class Sweep:
     joined: BoolArray
 
     @staticmethod
-    def steady(points: FloatArray) -> Sweep:
+    def steady(points: FloatArray) -> "Sweep":
         """A sweep in one go, of no known speed."""
         return Sweep(points, np.zeros(points.shape[:2]), np.ones(max(len(points) - 1, 0), dtype=bool))
 

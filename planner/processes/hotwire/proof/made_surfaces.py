@@ -1,7 +1,5 @@
 """Surfaces of the part that wires cut."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any, Final

@@ -12,8 +12,6 @@ segments, and both results are combined (Richardson: (4 fine - coarse) / 3), whi
 the order h^4 and tells the size of the error that was taken out.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

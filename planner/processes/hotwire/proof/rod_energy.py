@@ -14,8 +14,6 @@ fifth order. All derivatives are exact ones of this energy. Arrays have their co
 last: quaternions are (4, N, T).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,7 +105,7 @@ class Ends:
     turn: FloatArray
     weight: FloatArray
 
-    def at(self, which: IndexArray | slice) -> Ends:
+    def at(self, which: IndexArray | slice) -> "Ends":
         """Some of the instants."""
         return Ends(self.place[:, which], self.turn[:, which], self.weight[:, which])
 

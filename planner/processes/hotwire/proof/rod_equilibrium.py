@@ -6,8 +6,6 @@ three conditions on the end's place if and only if the matrix has exactly three 
 Mathematical Programming 32, 1985).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

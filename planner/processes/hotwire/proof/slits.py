@@ -8,8 +8,6 @@ outlines and outside of holes; where none is around it, the block is solid if th
 alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final, Literal
 
@@ -58,7 +56,7 @@ class Section:
     diagonal: float
 
     @staticmethod
-    def of(contours: tuple[Contour, ...], own: int, box: FloatArray) -> Section:
+    def of(contours: tuple[Contour, ...], own: int, box: FloatArray) -> "Section":
         """The section across contour number ``own`` of a part in the block ``box`` (2, 3) [m]."""
         middles = [0.5 * (one.start + one.end) for one in contours]
         axis = (contours[own].end - contours[own].start).mean(axis=0)

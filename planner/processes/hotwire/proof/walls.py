@@ -6,8 +6,6 @@ from the wires to matter, as distances change by no more than the places do. Wha
 wires leave of it does not depend on the order of the cuts.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Final

@@ -2,8 +2,6 @@
 state, or the straight wire of a bow.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

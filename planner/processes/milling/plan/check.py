@@ -4,8 +4,6 @@ A tool is a body of revolution (`sections`): how far points are off it, and how 
 in it along a path.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

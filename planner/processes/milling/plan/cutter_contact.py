@@ -20,8 +20,6 @@ Rulings come as a flank cutter passes them (`strips`): tip guide and top guide i
 cut, with tangents and outward normals, one smooth piece at a time.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 
@@ -216,7 +214,7 @@ class Strip:
         first, second = self.tangents()
         return unit(self.out * np.cross(first, along)), unit(self.out * np.cross(second, along))
 
-    def reversed(self) -> Strip:
+    def reversed(self) -> "Strip":
         """The same piece the other way."""
         return Strip(self.low[::-1], self.high[::-1], -self.out, self.ring)
 

@@ -3,8 +3,6 @@
 Ways in and out of the cut: straight on until the cutter is off the block, and round convex corners.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator

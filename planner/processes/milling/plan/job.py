@@ -11,8 +11,6 @@ tool.
 **Claims** (`claims`): what must hold of the job, from the problem alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Sequence

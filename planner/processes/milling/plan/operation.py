@@ -4,8 +4,6 @@ Lengths are in mm, angles in degrees, speeds in mm/s. The ``gcode`` of an operat
 where it lies, and what the file itself leaves out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Final, Literal, Self
@@ -253,7 +251,7 @@ class EngravedFile(GuideFile):
             raise ValueError("give exactly one of polyline_mm, bspline_mm, bezier_mm, dxf, rhino and drawing")
         return self
 
-    def looked_up(self, folder: Path) -> EngravedFile:
+    def looked_up(self, folder: Path) -> "EngravedFile":
         """The same with its file, where it has one, named from anywhere."""
         own = self.model_copy(update=self._files(folder))
         if own.drawing is None:

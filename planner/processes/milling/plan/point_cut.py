@@ -5,8 +5,6 @@ to one another as a stepover or a ridge height asks; a pattern of curves is proj
 the part's front and engraved there.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Final

@@ -6,8 +6,6 @@ safe way, up along its axis to the safe plane, straight on it, and down to where
 rapid move ended.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Final

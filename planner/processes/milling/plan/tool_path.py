@@ -8,8 +8,6 @@ The whole way (`lay_out`): over the block on the safe plane to each pass, down, 
 again.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any, Final
@@ -61,7 +59,7 @@ class ToolPath:
         """Whether the move to each row (N,) cuts."""
         return np.array([not one.startswith(RAPID) for one in self.kind], dtype=bool)
 
-    def __getitem__(self, rows: slice) -> ToolPath:
+    def __getitem__(self, rows: slice) -> "ToolPath":
         return ToolPath(**{field.name: getattr(self, field.name)[rows] for field in dataclasses.fields(self)})
 
 

@@ -1,7 +1,5 @@
 """What milling contributes to the proof."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

@@ -4,8 +4,6 @@ The order counts also where the way crosses itself, goes back on itself, or turn
 The feed may change along a way.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from bisect import bisect_left

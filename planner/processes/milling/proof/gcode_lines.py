@@ -5,8 +5,6 @@ whole file at once, as arrays. A word that stays until another comes is spread o
 it; so is what follows from several. See docs/gcode.md for what the words mean.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping

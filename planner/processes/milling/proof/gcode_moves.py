@@ -1,7 +1,5 @@
 """The proof's own interpreter of G-code: the way of the cutter's tip and axis that a file states."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

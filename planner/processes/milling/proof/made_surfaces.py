@@ -1,7 +1,5 @@
 """Surfaces of the part that cutters mill."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from functools import partial

@@ -9,8 +9,6 @@ code of its own for this; here triangles are found by a tree of their outlines, 
 solved for heights.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

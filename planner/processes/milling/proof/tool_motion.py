@@ -6,8 +6,6 @@ of faces that count are those near to a tool's way, as near to one another as wh
 wide. Sharp edges are narrow where they go in, and are looked for more closely.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator, Sequence
@@ -318,7 +316,7 @@ class Held:
         """How near to one another places of the face have to be [m]."""
         return rim_size(self.tolerance) if self.sharp else round_size(self.solid.radius, self.tolerance)
 
-    def inside(self) -> Inside | int:
+    def inside(self) -> "Inside | int":
         """What is inside; where the face would have to be looked at in too many places, how many these
         are."""
         points = self.vertices[:1]

@@ -1,7 +1,5 @@
 """The process ``targets``: synchronised poses for one or two arms from a CSV or JSON file."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -56,7 +54,7 @@ class FreeAxis(Strict):
     slide_mm: tuple[float, float] | None = None
 
     @model_validator(mode="after")
-    def _ordered(self) -> FreeAxis:
+    def _ordered(self) -> "FreeAxis":
         for bounds in (self.turn_deg, self.slide_mm):
             if bounds is not None and bounds[0] > bounds[1]:
                 raise ValueError("turn_deg and slide_mm are [lower, upper] with lower <= upper")
@@ -104,7 +102,7 @@ class Posed(Strict):
         return stock
 
     @model_validator(mode="after")
-    def _consistent(self) -> Posed:
+    def _consistent(self) -> "Posed":
         if len(set(self.arms)) != len(self.arms):
             raise ValueError("arms: each arm is named once")
         names = [axis.name for axis in self.free]

@@ -1,7 +1,5 @@
 """What given poses contribute to the proof."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from planner.processes.poses.proof.rules import given_poses

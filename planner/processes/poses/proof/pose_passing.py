@@ -13,8 +13,6 @@ between them, at ``LEAST_FEED_SHARE`` of its speed at least; and no move within 
 stop.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import itertools

@@ -1,7 +1,5 @@
 """What would go wrong while a sheet is trimmed: curves that cross or leave the sheet, tools in the wall."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """What must hold of a trimmed sheet, from the problem alone."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """What cuts a sheet, as the job sees it: a torch whose TCP is on the face, a mill or a knife that goes
 through it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

@@ -1,7 +1,5 @@
 """The face of a formed sheet that a torch follows, and closed curves laid on it."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final

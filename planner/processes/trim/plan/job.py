@@ -11,8 +11,6 @@ Motion may spin the tool, and lean it about the place that is cut within its con
 of the sheet; a knife it may spin a little, as it stands along its curve and square to the sheet.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from pathlib import Path

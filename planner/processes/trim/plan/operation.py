@@ -3,8 +3,6 @@
 Lengths are in mm, angles in degrees, speeds in mm/s.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """How fast a tool goes in its slots: the feed that moves have on average, and where a clock is too slow."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -4,8 +4,6 @@ Places of a slot are thinned to targets, as near to one another as straight move
 tool that goes through the sheet comes down to its depth before it is near to the curve.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

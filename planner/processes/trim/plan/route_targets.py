@@ -1,8 +1,6 @@
 """From the way of a tool to targets: its poses, what each leaves open, how fast, and what is switched and
 asked on the way."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

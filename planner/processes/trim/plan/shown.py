@@ -1,7 +1,5 @@
 """What a report shows of a trimmed sheet: the tool for the setup sheet, slots in order, curves, heights."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """From closed curves to slots: the way of the torch from where it pierces to where the arc goes off."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -6,8 +6,6 @@ and put in again. Behind its tip it has a straight end, before it its edge goes 
 in and taken out that far from the ends of a stretch, and cuts past a corner at the near face alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final, Literal
 

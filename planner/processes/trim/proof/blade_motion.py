@@ -5,8 +5,6 @@ the sheet, and has cut one of them where its lower end is behind that. Headings 
 the TCP, which the program's text gives, and held against directions that the curve has along the blade.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cached_property
 

@@ -4,8 +4,6 @@ The face is that of the part's own mesh file. Curves are laid on it along z; bey
 is flat. What a curve encloses, seen along z, is told by its winding number about a place.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import cached_property

@@ -4,8 +4,6 @@ Facets of a scan lean by several degrees where the face does not. Each vertex go
 order surface through those about it. Of a mesh without noise nothing of that is asked.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

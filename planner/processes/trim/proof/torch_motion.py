@@ -1,8 +1,6 @@
 """Where a torch, a mill or a knife is while it trims, whether an arc burns then, and how far its body is off
 the sheet."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable
@@ -46,7 +44,7 @@ class Burning:
     end: FloatArray
 
     @staticmethod
-    def of(context: Context, claim: TrimsSheet) -> Burning:
+    def of(context: Context, claim: TrimsSheet) -> "Burning":
         """When the programs have the signal of a claim on."""
         begin: list[float] = []
         end: list[float] = []

@@ -9,8 +9,6 @@ than z + dz is what is deeper than z, shrunk by dz / tan(a), as far as the featu
 that builds it contour by contour, for any outline, with as many floors as there are.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable
 from typing import Any, Final

@@ -10,8 +10,6 @@ both trees are merged leaf by leaf. Equal heights are told apart by the index, s
 care.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Final

@@ -27,8 +27,6 @@ of its start where all the features around it are done (strategy 1), on the flat
 the levels of its features.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import html
 import math

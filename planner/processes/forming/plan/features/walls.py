@@ -14,8 +14,6 @@ the change over the length of the line.
 **Walls** are the maximal runs of a skeleton that go one way, cut at terraces.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Final

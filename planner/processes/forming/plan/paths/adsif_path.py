@@ -8,8 +8,6 @@ tan(a), a being the mean wall angle about the level. Source: the dissertation na
 `adsif_response`, section 3.2.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final

@@ -16,8 +16,6 @@ headings gap_over_thickness, position_angle_deg, wall_angle_deg, and a row for e
 angle that reads ``unstable``, or a cell that is missing, was not stable.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import functools

@@ -4,8 +4,6 @@ Targets on the curve of contact are as few as the turn of its tangent, the strai
 ball's centre and the longest move allow.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Final
@@ -72,7 +70,7 @@ class Targets:
     kept: BoolArray
     missed: BoolArray
 
-    def __getitem__(self, rows: IntArray | BoolArray) -> Targets:
+    def __getitem__(self, rows: IntArray | BoolArray) -> "Targets":
         return Targets(*(getattr(self, field.name)[rows] for field in dataclasses.fields(self)))
 
 

@@ -11,8 +11,6 @@ first.
 wall is flat.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 
@@ -55,7 +53,7 @@ class Loop:
         x, y = self.point[:, 0], self.point[:, 1]
         return float(0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
 
-    def reversed(self) -> Loop:
+    def reversed(self) -> "Loop":
         """The same line the other way round."""
         return Loop(self.point[::-1], self.normal[::-1], self.level)
 

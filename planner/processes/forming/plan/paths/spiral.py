@@ -3,8 +3,6 @@
 `PathOptions` is what a user may state about the path of the contact on a face.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

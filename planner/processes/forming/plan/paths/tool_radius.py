@@ -1,7 +1,5 @@
 """Where a ball is too large for a face: creases, where every ball is, and smooth places."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Final

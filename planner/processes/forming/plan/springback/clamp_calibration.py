@@ -15,8 +15,6 @@ closed form; border and thickness are looked at on a grid that is drawn in twice
 ones of 95 % (highest density), which reach the end where a border slides or does not move.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io
@@ -198,7 +196,7 @@ class _Grid:
         response: Response,
         grips: tuple[float, float],
         thicks: tuple[float, float],
-    ) -> _Grid:
+    ) -> "_Grid":
         grip, thick = np.linspace(*grips, GRID[0]), np.linspace(*thicks, GRID[1])
         sure = 1.0 / (readings.error**2 + (MODEL_SHARE * readings.dial) ** 2)
         shape = np.stack(

@@ -10,8 +10,6 @@ larger one. Both tools are shifted alike at the same target, so what is between 
 lets go of the sheet is the path as it was laid: the released part.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Sequence

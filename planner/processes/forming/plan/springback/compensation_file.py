@@ -6,8 +6,6 @@ the sheet's frame. Its last line is the SHA-256 of all text before it, so one th
 refused; so is one that belongs to another part, sheet, tool or operation, by the name of what differs.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -19,8 +19,6 @@ shape beside the rolling: one that is divided half as much as most loops of its 
 one below that is not.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import heapq
 from collections.abc import Sequence

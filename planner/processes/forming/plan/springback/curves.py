@@ -10,8 +10,6 @@ constructing local monotone piecewise cubic interpolants, SIAM Journal on Scient
 5 (1984) 300). S = a F^b is fitted beside it, for people to compare.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Forces are what the user states or a formula for one tool; what a die carries is
 how much too shallow a part will about be, and where; measured forces say it better.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any, Final

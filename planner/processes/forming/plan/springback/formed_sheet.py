@@ -6,8 +6,6 @@ level that is formed, and inside of that the floor: level, or an earlier pass's 
 Features formed before stand whole; on the virgin sheet those inside the floor sink with it.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -6,8 +6,6 @@ so nobody can work it out again. It says which plan, pass and level it is of, at
 ended, and how much more than expected the foretold forces are.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

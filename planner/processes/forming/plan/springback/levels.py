@@ -5,8 +5,6 @@ that has some, and others between, so that force is measured all around; curves 
 control points above and below, and along their rings, as `PassSpringback.at` mixes springback.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Final
 

@@ -5,8 +5,6 @@ with a springback file S less the file's shift. Between targets the nearest in p
 their edge; a feature that is formed in several passes is what the last of them leaves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 

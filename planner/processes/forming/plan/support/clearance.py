@@ -12,8 +12,6 @@ formed. So the largest angle from the vertical is sought at which it is clear, b
 distance of the balls stays.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Final

@@ -7,8 +7,6 @@ the directions along the path. `insert` puts more targets on the straight moves 
 where the other tool needs them.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

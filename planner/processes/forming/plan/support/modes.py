@@ -20,8 +20,6 @@ is the share of the border that is done.
 stands.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -15,8 +15,6 @@ that of the face. So all facets count that are nearly as near, and the ones that
 farthest are the first that do not count. Walls that meet in a crease are told apart thus.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 
@@ -74,10 +72,10 @@ class Lean:
     gap: FloatArray
     ends: FloatArray
 
-    def __getitem__(self, rows: IntArray) -> Lean:
+    def __getitem__(self, rows: IntArray) -> "Lean":
         return Lean(self.normal[rows], self.gap[rows], self.ends[rows])
 
-    def inserted(self, row: IntArray, other: Lean) -> Lean:
+    def inserted(self, row: IntArray, other: "Lean") -> "Lean":
         """With others before rows (M,)."""
         pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in dataclasses.fields(self))
         return Lean(*(np.insert(mine, row, new, axis=0) for mine, new in pairs))

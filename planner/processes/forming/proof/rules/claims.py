@@ -4,8 +4,6 @@ Gaps, borders, feeds, tolerances, and what tools may meet. The faces themselves 
 `forming_part`'s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 

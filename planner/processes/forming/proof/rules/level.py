@@ -5,8 +5,6 @@ they are held against the problem's limits, their file against the problem, and 
 file's. What is left without them is judged by the other rules, as any released tool is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ Together they make it, each is formed where the sheet is then, in the wanted ord
 that are no steeper than wanted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

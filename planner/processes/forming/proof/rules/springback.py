@@ -7,8 +7,6 @@ proof's own, the replayed way against its way, and a few control points against 
 mesh with another membrane.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 from collections.abc import Iterator, Sequence

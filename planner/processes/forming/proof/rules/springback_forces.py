@@ -1,7 +1,5 @@
 """Forces by which springback was computed, against those that the problem states or a formula gives."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

@@ -6,8 +6,6 @@ with the sheet's rim. It is told by its signal alone: it is as many steps below 
 were pulses. The level of the tool is that of the replayed motion.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

@@ -4,8 +4,6 @@ verify.gap, border, opposite (the tool that follows). verify.adsif: both tools a
 face and the response table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

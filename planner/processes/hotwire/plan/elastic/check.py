@@ -7,8 +7,6 @@ The tolerance holds with the wire's weight and with the stated end errors.
 it would be.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 

@@ -16,8 +16,6 @@ grow shorter to its corner, over a way that may be less than the step between se
 they stand closer and closer, so corners are met as the rest is.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -97,7 +95,7 @@ class SectionSet:
     length: FloatArray
     pieces: IntArray
 
-    def take(self, rows: IndexArray) -> SectionSet:
+    def take(self, rows: IndexArray) -> "SectionSet":
         """Some of the sections, in the same order."""
         return SectionSet(self.p[rows], self.points[rows], self.length[rows], self.pieces[rows])
 

@@ -8,8 +8,6 @@ way, which wire), `check` (what must hold).
 tried.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -12,8 +12,6 @@ attitude of the plane. Everything is in the stock frame.
 its own curve.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Final
@@ -49,7 +47,7 @@ class Wires:
     def __len__(self) -> int:
         return len(self.bend)
 
-    def __getitem__(self, index: IndexArray | slice) -> Wires:
+    def __getitem__(self, index: IndexArray | slice) -> "Wires":
         return dataclasses.replace(self, frame=self.frame[index], bend=self.bend[index])
 
     def load(self) -> FloatArray:
@@ -71,7 +69,7 @@ class Wires:
         """Poses (N, 4, 4) of start and end: x along the wire from start to end, z the plane's normal."""
         return self.frame @ planar_pose(shape.start), self.frame @ planar_pose(shape.end)
 
-    def moved(self, shift: FloatArray) -> Wires:
+    def moved(self, shift: FloatArray) -> "Wires":
         """The wires moved by shift (3,) or (N, 3) [m]."""
         frame = self.frame.copy()
         frame[:, :3, 3] += shift

@@ -2,8 +2,6 @@
 with weight and errors of the ends counted in. Quick, so that many can be looked at before one is fitted.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
@@ -114,11 +112,11 @@ class Screen:
         self._snaps: dict[tuple[float, float, bool], bool] = {}
         self._cuts: dict[tuple[float, float, bool], list[tuple[Spine, SectionSet, float]]] = {}
 
-    def with_operation(self, op: ElasticWire) -> Screen:
+    def with_operation(self, op: ElasticWire) -> "Screen":
         """The same faces in the same block for another operation."""
         return Screen(op, self.setup, self.wanted, self.half_slot)
 
-    def side(self, axis: int, at: float, keep: float) -> Screen | None:
+    def side(self, axis: int, at: float, keep: float) -> "Screen | None":
         """The part of the panel beyond (``keep`` 1) or before (-1) ``at`` [m] of the block's x or y (``axis``
         0 or 1), in the middle of that part of the block, as a job of its own; None where a face has nothing
         there."""

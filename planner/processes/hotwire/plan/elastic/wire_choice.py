@@ -2,8 +2,6 @@
 one does. Where none does, the refusal names what would, and only what was tried.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Mapping

@@ -4,8 +4,6 @@ The CSV file has what was measured on squares, or the kerf itself. The fit is of
 - offset (`models`), by least squares or robustly (Huber's, then Tukey's weights).
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import math

@@ -40,8 +40,6 @@ wires in still air have 0.4 to 0.8, so that the bound is a generous one. T is th
 temperature of the wire materials that are built in, k that of the hottest air in the data.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

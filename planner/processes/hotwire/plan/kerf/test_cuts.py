@@ -3,8 +3,6 @@
 `HotWire` is what a kerf needs to know of a wire.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import functools
@@ -38,7 +36,7 @@ class Cuts:
     def __len__(self) -> int:
         return len(self.width)
 
-    def only(self, mask: BoolArray) -> Cuts:
+    def only(self, mask: BoolArray) -> "Cuts":
         """The cuts where ``mask`` (N,) is true."""
         return Cuts(self.power_per_length[mask], self.speed[mask], self.width[mask])
 
@@ -128,7 +126,7 @@ class HotWire:
                 raise TandemError(Issue("kerf.input", text, field=name, hint=f"give the wire's {name}"))
 
     @staticmethod
-    def of(wire: Wire, length: float) -> HotWire:
+    def of(wire: Wire, length: float) -> "HotWire":
         """The wire over its heated length [m]; a strip counts by its thickness."""
         return HotWire(wire.thickness, length)
 

@@ -7,8 +7,6 @@ All functions take arrays that broadcast, so that every point along a wire has i
 `docs/kerf.md` tells where the figures come from and how far they are to be trusted.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 holder's plate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

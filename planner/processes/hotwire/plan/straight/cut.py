@@ -4,8 +4,6 @@ For a closed cut, also: where it begins, which way round it goes, and the slit b
 comes to it (`choose`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -6,8 +6,6 @@ surface takes from others that the section across the wire does not show: strips
 wires run another way.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Final

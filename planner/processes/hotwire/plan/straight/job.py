@@ -10,8 +10,6 @@ and what a holder may do with the block. The bow is the tool that carries the op
 sheet.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Iterator

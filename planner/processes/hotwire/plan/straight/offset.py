@@ -14,8 +14,6 @@ turns about, so that its slot grows wide there, though both its ends are fast. S
 all along the wire, at and between its guide points.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Final
@@ -72,7 +70,7 @@ class Row:
     normal: FloatArray
     turn: FloatArray
 
-    def __getitem__(self, rows: BoolArray) -> Row:
+    def __getitem__(self, rows: BoolArray) -> "Row":
         return Row(self.foot[rows], self.normal[rows], self.turn[rows])
 
     def lines(self, half: FloatArray) -> Lines:
@@ -387,7 +385,7 @@ class Melted:
     speed: FloatArray
     half: FloatArray
 
-    def some(self, rows: BoolArray) -> Melted:
+    def some(self, rows: BoolArray) -> "Melted":
         """Those of ``rows`` (N,)."""
         return Melted(self.lines[rows], self.number[rows], self.speed[rows], self.half[rows])
 

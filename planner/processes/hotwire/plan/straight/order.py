@@ -5,8 +5,6 @@ piece lies in which, and what lies beside a cut. Wires are batches of lines: how
 themselves, and where they pass a box.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
@@ -38,7 +36,7 @@ class Lines:
     def __len__(self) -> int:
         return len(self.start)
 
-    def __getitem__(self, rows: slice | list[int] | IndexArray | BoolArray) -> Lines:
+    def __getitem__(self, rows: slice | list[int] | IndexArray | BoolArray) -> "Lines":
         return Lines(self.start[rows], self.end[rows])
 
     @property
@@ -51,11 +49,11 @@ class Lines:
         """Points (N, 3) [m] at signed lengths (N,) [m] from the starts."""
         return self.start + length[:, None] * self.direction
 
-    def moved(self, shift: FloatArray) -> Lines:
+    def moved(self, shift: FloatArray) -> "Lines":
         """The lines shifted by (3,) or (N, 3) [m]."""
         return Lines(self.start + shift, self.end + shift)
 
-    def reversed(self) -> Lines:
+    def reversed(self) -> "Lines":
         """The lines in the opposite order."""
         return Lines(self.start[::-1], self.end[::-1])
 

@@ -8,8 +8,6 @@ turn, it is taken to a place beyond one side of the block where there is room fo
 slot (`drops`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator

@@ -8,8 +8,6 @@ on the cuts' own rows, and tried once more on whole cuts, made anew, before it i
 guide points, held against the surface and the usable widths.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Final
 

@@ -1,7 +1,5 @@
 """The rule on the clearance of bent wires."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

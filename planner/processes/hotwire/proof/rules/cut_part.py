@@ -4,8 +4,6 @@ verify.surface, ridge. verify.part, order: what slots take from the part on the 
 from other surfaces, and what has to be cut before what.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

@@ -1,7 +1,5 @@
 """The rule on figures that operators are told about wires."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

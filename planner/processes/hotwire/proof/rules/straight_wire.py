@@ -4,8 +4,6 @@ verify.bow: its clamps. verify.kerf: at the actual speeds. verify.rulings: of th
 verify.slit: where a straight wire comes from, and what its slit takes of the part.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

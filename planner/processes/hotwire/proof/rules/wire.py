@@ -4,8 +4,6 @@ verify.wire_length, wire_stability, curvature, contact, stop_in_foam, feed, wire
 verify.wire_power, signals: on and hot in the foam, off at hands, switched in one plain way.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rule on arms that move alone while they hold a wire."""
 
-from __future__ import annotations
-
 from planner.issues import Issue
 from planner.programs.steps import MoveStep, SignalStep
 from planner.proof.context import Context

@@ -7,8 +7,6 @@ that the move takes in the plan. Of the machine's limits and bodies nothing is k
 says so.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final

@@ -4,8 +4,6 @@ Modes first, then dwell, motion and stop, as controllers do it. Words are letter
 without comments and white space. For codes that are not read there is a reason (`why_not`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

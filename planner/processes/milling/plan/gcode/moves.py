@@ -4,8 +4,6 @@ Arcs are given by centre or by radius, and become points within a chord error. A
 in the file's own words. Faults are collected line by line: repeats are counted, first lines kept.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -9,8 +9,6 @@ that turn the tool, and F. Everything else is read line by line by
 the stock's frame.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

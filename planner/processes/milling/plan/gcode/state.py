@@ -11,8 +11,6 @@ the tool's motion against it (ISO 841), names it in ``reverse``. At zero the too
 spindle's own axis, from the tip up along +z.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

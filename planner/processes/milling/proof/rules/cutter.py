@@ -6,8 +6,6 @@ verify.mill_feed: the feed of the tip. verify.spindle: up to speed wherever the 
 block.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 

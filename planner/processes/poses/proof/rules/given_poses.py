@@ -1,7 +1,5 @@
 """verify.follows: the tools pass the poses that are given, in order, where the problem wants it."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 from typing import Final

@@ -1,7 +1,5 @@
 """Waits for the arc of a torch, and what watches it while it moves."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 
 from planner.issues import Issue

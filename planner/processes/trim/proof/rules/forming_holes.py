@@ -4,8 +4,6 @@ A hole that nothing formed later comes near to stays where it was cut, so its ed
 it. Curves are those that the proof reads itself; ways of tools are replayed from the programs' text.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

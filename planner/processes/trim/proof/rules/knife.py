@@ -4,8 +4,6 @@ verify.trim_knife: how deep its blade is, how it leans and how it stands along i
 ahead, and that it goes in and comes out along its axis, not turned.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from planner.claims.segments import Segment

@@ -5,8 +5,6 @@ comes straight out again, and what it cuts beside its slot. verify.trim_spindle:
 wherever it is in the sheet, also of a knife.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

@@ -5,8 +5,6 @@ verify.trim_kept: nothing is cut off the part. verify.trim_torch: stand-off and 
 when it burns. verify.trim_order, trim_feed, trim_clear.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
