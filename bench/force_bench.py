@@ -14,15 +14,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import MM
-from planner.loops.force_control import (
-    Axis,
-    Control,
-    Machine,
-    Sensor,
-    left_over,
-    simulate,
-    step_response,
-)
+from planner.loops.force_control import Axis, Control, Machine, Sensor, left_over, simulate, step_response
 
 MACHINES = 200
 GAP_SPEED = 0.25 * MM

@@ -192,10 +192,7 @@ def run_all() -> Iterator[dict[str, Any]]:
     for shape in ("cone", "pyramid"):
         plan = trial_plan(shape)
         low, high = ratio_span(shape, sheets_of(shape), seeds)
-        yield {
-            "name": f"{shape}: S true / model",
-            "note": f"{low:.3f} to {high:.3f} at 600 N",
-        }
+        yield {"name": f"{shape}: S true / model", "note": f"{low:.3f} to {high:.3f} at 600 N"}
         for name, file, law, lifts in cases(shape):
             begin = time.process_time()
             made = simulated(plan, file, law, seeds, lifts)

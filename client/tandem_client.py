@@ -168,9 +168,7 @@ class Client:
         proxies = _proxies(parts)
         self._place = f"{self._url}{_told(proxies.get(parts.scheme))}"
         self._opener = urllib.request.build_opener(
-            _NoRedirect,
-            urllib.request.HTTPSHandler(context=context),
-            urllib.request.ProxyHandler(proxies),
+            _NoRedirect, urllib.request.HTTPSHandler(context=context), urllib.request.ProxyHandler(proxies)
         )
         self._api = 0  # of the service; 0 until it was asked
 
@@ -352,11 +350,7 @@ class Client:
         yield from self._pages("jobs", "jobs", {**asked, "state": list(states)})
 
     def describe(
-        self,
-        job: str,
-        title: str | None = None,
-        tags: Sequence[str] | None = None,
-        notes: str | None = None,
+        self, job: str, title: str | None = None, tags: Sequence[str] | None = None, notes: str | None = None
     ) -> dict[str, Any]:
         """Give a job a title in any language, tags and notes; what is None stays as it is."""
         self._want(FINDING_API, "titles, tags and notes")

@@ -45,8 +45,7 @@ CODES: Final[dict[str, Code]] = {
     # robots from files
     "robot.urdf": Code("the file of a robot is no URDF that can be read", given=True),
     "robot.chain": Code(
-        "the chain of a URDF from base to tip has joints that follow others or slide, or is none",
-        given=True,
+        "the chain of a URDF from base to tip has joints that follow others or slide, or is none", given=True
     ),
     "robot.limits": Code("a joint of a URDF has no range or no speed", given=True),
     "robot.bodies": Code("bodies of a robot for collision are not there or bound nothing", given=True),
@@ -311,8 +310,7 @@ CODES: Final[dict[str, Code]] = {
         "a result that is not verified, or whose files are not those of its proof", given=True
     ),
     "upload.release": Code(
-        "a result's release was withdrawn, is of other programs, or is missing where asked for",
-        given=True,
+        "a result's release was withdrawn, is of other programs, or is missing where asked for", given=True
     ),
     "upload.address": Code("the address of a controller, or what to send there, is not stated", given=True),
     "upload.controller": Code("a controller cannot be reached, or answers otherwise than it should"),

@@ -50,10 +50,7 @@ def test_a_track_takes_what_it_carries_along(tmp_path: Path) -> None:
     """A cabinet on the carriage, behind the arm; a post beside the track is in its way alone."""
     rail = {key: value for key, value in gantry_job.BRIDGE.items() if key != "name"}
     pose = {"xyz_mm": [-500, 0, 1200]}
-    cabinet = {
-        "name": "column",
-        "shapes": [{"kind": "box", "size_mm": [300, 400, 300], "pose": pose}],
-    }
+    cabinet = {"name": "column", "shapes": [{"kind": "box", "size_mm": [300, 400, 300], "pose": pose}]}
 
     def problem(*bodies: Any) -> planner.Problem:
         return gantry_job.problem(tmp_path, None, (cabinet, *bodies), rise=0.0, track=rail)

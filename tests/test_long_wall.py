@@ -47,8 +47,7 @@ def test_a_kuka_arm_reaches_all_of_the_wall_from_stations_of_its_track() -> None
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("file", "most"),
-    [("problem.yaml", 2000.0), pytest.param("kuka.yaml", 2500.0, marks=pytest.mark.long)],
+    ("file", "most"), [("problem.yaml", 2000.0), pytest.param("kuka.yaml", 2500.0, marks=pytest.mark.long)]
 )
 def test_without_the_track_the_wall_is_refused_with_the_axis_that_helps(
     tmp_path: Path, file: str, most: float
@@ -164,8 +163,7 @@ def test_one_cut_of_six_metres_is_in_reach_as_the_track_goes_along(file: str) ->
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("file", "words"),
-    [("one_cut.yaml", "base frame moved by"), ("one_cut_kuka.yaml", "#ERSYS")],
+    ("file", "words"), [("one_cut.yaml", "base frame moved by"), ("one_cut_kuka.yaml", "#ERSYS")]
 )
 def test_one_cut_of_six_metres_is_milled_and_proven(tmp_path: Path, file: str, words: str) -> None:
     outcome = plan(planner.load(PROBLEMS / "long_wall" / file))

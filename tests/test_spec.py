@@ -132,10 +132,7 @@ def test_a_file_of_another_problem_is_not_overwritten_unasked(tmp_path: Path) ->
     assert planner.load(path).name == "other"
 
 
-@given(
-    st.tuples(*[st.floats(-179, 179)] * 3),
-    st.sampled_from([("mm", 1.0), ("m", 1e3), ("in", 25.4)]),
-)
+@given(st.tuples(*[st.floats(-179, 179)] * 3), st.sampled_from([("mm", 1.0), ("m", 1e3), ("in", 25.4)]))
 @settings(max_examples=60, derandomize=True)
 def test_a_matrix_is_the_pose_that_scipy_makes_of_its_angles(
     angles: tuple[float, float, float], unit: tuple[str, float]

@@ -50,9 +50,7 @@ def test_a_file_that_both_read_alike_is_proven(panel, carried) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "wrong",
-    [lambda v: v * [1.0, 1.0, 0.9], lambda v: v * 0.93],
-    ids=["flatter", "smaller"],
+    "wrong", [lambda v: v * [1.0, 1.0, 0.9], lambda v: v * 0.93], ids=["flatter", "smaller"]
 )
 def test_a_file_that_the_planner_reads_otherwise_is_not_proven(monkeypatch, wrong) -> None:
     """All else follows the wrong reading, so that no other rule sees it."""

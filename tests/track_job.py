@@ -24,12 +24,7 @@ TRACK: dict[str, Any] = {
     "speed_mm_s": 1000,
     "acceleration_mm_s2": 1000,
 }
-ARM: dict[str, Any] = {
-    "name": "left",
-    "robot": "irb140",
-    "tool": {"kind": "ball_tool"},
-    "track": TRACK,
-}
+ARM: dict[str, Any] = {"name": "left", "robot": "irb140", "tool": {"kind": "ball_tool"}, "track": TRACK}
 COLUMNS = "left.x_mm,left.y_mm,left.z_mm,left.qw,left.qx,left.qy,left.qz,feed_mm_s,segment"
 
 

@@ -76,10 +76,6 @@ def _home(draft: Draft, draw: Draw) -> None:
 
 
 FAULTS: Final = [
-    Fault(
-        "a crate stands where the block is",
-        ("motion.overlap",),
-        _inside,
-    ),
+    Fault("a crate stands where the block is", ("motion.overlap",), _inside),
     Fault("a crate stands where the arm is at home", ("motion.home", "motion.collision"), _home),
 ]

@@ -247,11 +247,7 @@ SUPPORTED: Final = [
     *TWO_ARMS,
 ]
 BORDER: Final = [
-    Fault(
-        "the opening leaves no room for the tool outside of the part",
-        ("forming.clamp",),
-        _no_room,
-    ),
+    Fault("the opening leaves no room for the tool outside of the part", ("forming.clamp",), _no_room),
     Fault("a disk is to form", ("forming.tool",), _disk_forms),
     *TWO_ARMS,
 ]

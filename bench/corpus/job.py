@@ -115,11 +115,7 @@ def make(name: str, index: int, base: Callable[[Draw], Draft], faults: Sequence[
 
 def _job(name: str, kind: str, seed: int, draft: Draft, codes: tuple[str, ...]) -> Job:
     problem = {"tandem": 1, "name": name, "cell": "cell.yaml", **draft.problem}
-    files = {
-        PROBLEM: text(problem, f"# {draft.why}\n"),
-        "cell.yaml": text(draft.cell),
-        **draft.files,
-    }
+    files = {PROBLEM: text(problem, f"# {draft.why}\n"), "cell.yaml": text(draft.cell), **draft.files}
     return Job(name, kind, seed, files, frozenset(codes), draft.why)
 
 

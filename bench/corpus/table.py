@@ -7,17 +7,7 @@ import statistics
 from collections.abc import Sequence
 
 from bench.corpus import FAMILIES
-from bench.corpus.run import (
-    CRASH,
-    FALSE,
-    MADE,
-    OTHER,
-    OVER,
-    TRUE,
-    UNPROVEN,
-    VERIFIED,
-    Result,
-)
+from bench.corpus.run import CRASH, FALSE, MADE, OTHER, OVER, TRUE, UNPROVEN, VERIFIED, Result
 
 HEAD = (
     "family",

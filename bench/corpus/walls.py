@@ -60,11 +60,7 @@ def base(draw: Draw) -> Draft:
     one = draw.chance(0.3)
     size = [width, length, float(height)]
     problem = {
-        "stock": {
-            "size_mm": size,
-            "place": "auto",
-            "support": cells.stand(0.4 * width, 0.6 * length, 1500),
-        },
+        "stock": {"size_mm": size, "place": "auto", "support": cells.stand(0.4 * width, 0.6 * length, 1500)},
         "part": {"ruled": ruled[:1] if one else ruled, "in_stock": {}},
         "operations": [
             {

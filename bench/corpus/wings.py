@@ -96,13 +96,7 @@ def base(draw: Draw) -> Draft:
 
 
 def _size(
-    boxes: list[FloatArray],
-    root: float,
-    tip: float,
-    span: float,
-    sweep: float,
-    dihedral: float,
-    twist: float,
+    boxes: list[FloatArray], root: float, tip: float, span: float, sweep: float, dihedral: float, twist: float
 ) -> list[float]:
     """The block's size for a panel: its own extent and foam around it; along the span 10 mm more."""
     turn = math.radians(twist)

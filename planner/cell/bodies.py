@@ -13,16 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 from pydrake.common import MemoryFile
-from pydrake.geometry import (
-    Box,
-    Capsule,
-    Convex,
-    Cylinder,
-    InMemoryMesh,
-    Mesh,
-    SceneGraphInspector,
-    Sphere,
-)
+from pydrake.geometry import Box, Capsule, Convex, Cylinder, InMemoryMesh, Mesh, SceneGraphInspector, Sphere
 from pydrake.geometry import Shape as DrakeShape
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex

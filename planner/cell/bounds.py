@@ -171,9 +171,7 @@ class Bounds:
         first = np.array([keep(a, b) for a, b in self.pairs.tolist()], dtype=bool)
         second = np.array([keep(a, b + count) for a, b in self.box_pairs.tolist()], dtype=bool)
         return dataclasses.replace(
-            self,
-            pairs=self.pairs[first.reshape(-1)],
-            box_pairs=self.box_pairs[second.reshape(-1)],
+            self, pairs=self.pairs[first.reshape(-1)], box_pairs=self.box_pairs[second.reshape(-1)]
         )
 
     def least(

@@ -511,12 +511,7 @@ def _slopes(
 
 
 def _drake_into(
-    model: CellModel,
-    row: FloatArray,
-    bodies: IndexArray,
-    own: IndexArray,
-    gap: FloatArray,
-    slope: FloatArray,
+    model: CellModel, row: FloatArray, bodies: IndexArray, own: IndexArray, gap: FloatArray, slope: FloatArray
 ) -> None:
     """Writes what Drake says of pairs of bodies (K, 2) that overlap into entries ``own`` (K,)."""
     found = _steady(functools.partial(_clearance, model, 0.0), row)  # of pairs that are not asked for, too

@@ -457,11 +457,7 @@ def _again(
 
 
 def _new(
-    cell: Cell,
-    stock: Stock,
-    stock_pose: FloatArray,
-    bases: Mapping[str, FloatArray] | None,
-    meshcat: Any,
+    cell: Cell, stock: Stock, stock_pose: FloatArray, bases: Mapping[str, FloatArray] | None, meshcat: Any
 ) -> CellModel:
     _check_names(cell)
     stock = support.with_support(cell, stock, np.asarray(stock_pose))
@@ -543,10 +539,7 @@ def _always_near(model: CellModel) -> tuple[Sequence[SolidPair], Sequence[SolidP
         while len(_known_near) >= MOST_KNOWN:
             del _known_near[next(iter(_known_near))]
         flat, near = _found_near(dataclasses.replace(model, bases={arm: np.eye(4) for arm in model.arms}))
-        _known_near[key] = (
-            [(names[a], names[b]) for a, b in flat],
-            [(names[a], names[b]) for a, b in near],
-        )
+        _known_near[key] = ([(names[a], names[b]) for a, b in flat], [(names[a], names[b]) for a, b in near])
     place = {name: k for k, name in enumerate(names)}
     flat, near = (
         tuple(sorted((min(place[a], place[b]), max(place[a], place[b])) for a, b in pairs))

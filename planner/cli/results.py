@@ -75,11 +75,7 @@ def maps_of(problem: Problem, made: Plan) -> Iterator[FreedomMap]:
 
 
 def export(
-    folder: str | Path,
-    output: Path,
-    seconds: float = 0.0,
-    machine: str | None = None,
-    reverse: str = "",
+    folder: str | Path, output: Path, seconds: float = 0.0, machine: str | None = None, reverse: str = ""
 ) -> Path:
     """Write the cell at ``seconds`` after the plan's first target, with wanted and simulated part, ways of
     tools and wires, for CAD programs: ``output`` is a .glb or .3dm file. A .ngc file has what was milled as

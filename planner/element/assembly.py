@@ -101,12 +101,7 @@ def _solid(slab: Slab) -> dict[str, str]:
         return " ".join(f"{v:g}" for v in values.ravel().tolist())
 
     front, back = (np.round(points / MM) + 0.0 for points in (slab.front, slab.back))
-    return {
-        "front_mm": line(front),
-        "back_mm": line(back),
-        "faces": line(slab.faces),
-        "rim": line(slab.rim),
-    }
+    return {"front_mm": line(front), "back_mm": line(back), "faces": line(slab.faces), "rim": line(slab.rim)}
 
 
 def ring_slab(front: FloatArray, back: FloatArray, plan: FloatArray, beyond: IntArray) -> Slab:

@@ -113,10 +113,7 @@ def _pieces(wall: RuledWall, strips: Sequence[FloatArray]) -> tuple[Piece, ...]:
 
 
 def box_piece(
-    wall: RuledWall,
-    place: tuple[int, int],
-    along: tuple[float, float],
-    across: tuple[float, float],
+    wall: RuledWall, place: tuple[int, int], along: tuple[float, float], across: tuple[float, float]
 ) -> Piece:
     """A part of the wall whose sides stand square to it."""
     u = wall.between(*along)

@@ -69,10 +69,7 @@ class Dowels:
         panel, whose ``poses`` (4, 4) [m] are in the frame of ``element.json``."""
         out = []
         for number, one in enumerate(self.dowels, 1):
-            for panel, other, into in (
-                (one.stands, one.comes, one.way),
-                (one.comes, one.stands, -one.way),
-            ):
+            for panel, other, into in ((one.stands, one.comes, one.way), (one.comes, one.stands, -one.way)):
                 place = transform(inverse(poses[panel]), one.place) / MM
                 way = poses[panel][:3, :3].T @ into
                 at = [round(v, 2) + 0.0 for v in place.tolist()]

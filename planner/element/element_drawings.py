@@ -141,10 +141,7 @@ def _words(ring: FloatArray, name: str, size: float, below: str = "") -> list[st
     own *= share
     small = min(0.7 * own, 0.8 * wide / (_WIDE * max(len(below), 1)))
     out = []
-    for line, high, at, weight in (
-        (name, own, 0.0 if below else 0.35, 600),
-        (below, small, 0.9, 400),
-    ):
+    for line, high, at, weight in ((name, own, 0.0 if below else 0.35, 600), (below, small, 0.9, 400)):
         if line and high >= _LEAST:
             out.append(
                 f'<text x="{x:.1f}" y="{y + at * own:.1f}" text-anchor="middle" style="fill:var(--ink);'

@@ -146,14 +146,7 @@ def _refuse_crowds(element: HexagonElement) -> None:
     if most >= LEAST_COUNT:
         hint = f"give count: {most} at most, or " + hint.removeprefix("give ")
     raise TandemError(
-        Issue(
-            "element.shape",
-            what,
-            field="panels.hexagons.count",
-            value=wanted.count,
-            limit=most,
-            hint=hint,
-        )
+        Issue("element.shape", what, field="panels.hexagons.count", value=wanted.count, limit=most, hint=hint)
     )
 
 

@@ -15,13 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.element.element_file import (
-    ElasticElement,
-    Element,
-    HexagonElement,
-    StripsElement,
-    WallElement,
-)
+from planner.element.element_file import ElasticElement, Element, HexagonElement, StripsElement, WallElement
 from planner.files import is_file, versions
 from planner.geometry.arrays import FloatArray, transform
 from planner.reading.problem import digest, resolved

@@ -186,11 +186,7 @@ def _block(
 
 
 def _in_lines(
-    found: Nest,
-    boxes: Sequence[Box],
-    rooms: Sequence[Block],
-    panels: Sequence[PanelBlock],
-    sawing: Sawing,
+    found: Nest, boxes: Sequence[Box], rooms: Sequence[Block], panels: Sequence[PanelBlock], sawing: Sawing
 ) -> Nest:
     """The nest with panels in lines where that takes no further block and leaves fewer panels alone: all of
     them where faces are ruled, or those of each block by themselves."""
@@ -275,10 +271,7 @@ def _too_large(over: Sequence[PanelBlock], kinds: Sequence[Block], sawing: Sawin
     room = (
         (kind.length, kind.width)
         if kind.length >= kind.width or not sawing.turned
-        else (
-            kind.width,
-            kind.length,
-        )
+        else (kind.width, kind.length)
     )
     needed = (
         max(room[0], *(side[0] for side in sides)),

@@ -16,15 +16,7 @@ import numpy as np
 
 from planner.element.boxes import CUT_STEP, box_piece, most_even, strip_cuts
 from planner.element.element_file import NODE_STEP, StripsElement
-from planner.element.wall_panels import (
-    WallPanel,
-    face_rulings,
-    fitting,
-    flat_box,
-    in_block,
-    numbered,
-    rooms,
-)
+from planner.element.wall_panels import WallPanel, face_rulings, fitting, flat_box, in_block, numbered, rooms
 from planner.geometry.arrays import FloatArray, IntArray, Ruled
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.mesh_queries import Nearness

@@ -129,10 +129,7 @@ def _written(ruled: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
 
 
 def wall_joint(
-    names: tuple[str, str],
-    joint: Mapping[str, Any],
-    one: Sequence[CutFace],
-    other: Sequence[CutFace],
+    names: tuple[str, str], joint: Mapping[str, Any], one: Sequence[CutFace], other: Sequence[CutFace]
 ) -> CutJoint | None:
     """A ``joint`` of ``element.json`` between two panels; None where one of them has no side or face there
     that is cut."""

@@ -7,16 +7,7 @@ import numpy as np
 from planner.element.boxes import box_piece, divide_boxes, fewest_strips
 from planner.element.element_file import PuzzleFile, WallElement
 from planner.element.puzzle import divide_puzzle, largest_lobe, puzzle_pieces, reach
-from planner.element.wall_panels import (
-    Piece,
-    Room,
-    WallPanel,
-    flat_box,
-    in_block,
-    numbered,
-    outline,
-    rooms,
-)
+from planner.element.wall_panels import Piece, Room, WallPanel, flat_box, in_block, numbered, outline, rooms
 from planner.geometry.units import MM
 from planner.issues import Issue, TandemError
 

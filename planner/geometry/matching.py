@@ -273,12 +273,7 @@ def join(name: str, start: Guide, end: Guide, match: Match = "arc_length", hole:
         own[0] = corners[number]
         corner.append(own)
     return Ruled(
-        name,
-        np.concatenate(rows_start),
-        np.concatenate(rows_end),
-        np.concatenate(corner),
-        start.closed,
-        hole,
+        name, np.concatenate(rows_start), np.concatenate(rows_end), np.concatenate(corner), start.closed, hole
     )
 
 

@@ -11,15 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, unit
 from planner.geometry.conjugate_field import layout
-from planner.geometry.even_points import (
-    FineSurface,
-    bending,
-    cells,
-    cut_fine,
-    middles,
-    spread,
-    synclastic,
-)
+from planner.geometry.even_points import FineSurface, bending, cells, cut_fine, middles, spread, synclastic
 from planner.geometry.face_offset import Rim, ThickPanel, side_quads, thick_panels
 from planner.geometry.guided_projection import LONGEST_WAY, Weights, planarised
 from planner.geometry.mesh import TriangleMesh

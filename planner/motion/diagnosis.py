@@ -54,10 +54,7 @@ def _in_job(issue: Issue, targets: Targets, rows: IndexArray) -> Issue:
     index = int(rows[issue.index])
     name = targets.name(index)
     return dataclasses.replace(
-        issue,
-        message=issue.message.replace(issue.target, name),
-        index=index,
-        target=name,
+        issue, message=issue.message.replace(issue.target, name), index=index, target=name
     )
 
 

@@ -41,10 +41,7 @@ def margin(
 
 
 def margins_at(
-    scene: Scene,
-    few: Few,
-    stock: FloatArray,
-    settings: Settings,
+    scene: Scene, few: Few, stock: FloatArray, settings: Settings
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Margins {arm: (K, M, B)} beyond the hard ones, capped, and joints {arm: (K, M, B, J)} of all B
     branches, for M sampled states.

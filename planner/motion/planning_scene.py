@@ -48,10 +48,7 @@ from planner.tooling import FormingTool, working_solid
 
 
 def inverse_kinematics(
-    form: ArmForm,
-    flange: FloatArray,
-    branches: Sequence[int] | None = None,
-    last: FloatArray | None = None,
+    form: ArmForm, flange: FloatArray, branches: Sequence[int] | None = None, last: FloatArray | None = None
 ) -> FloatArray:
     """Joint angles (..., len(branches), J) [rad] of flange poses (..., 4, 4) in the base, all branches of
     the form unless some are named; NaN where none exists. ``last`` (...,) [rad]: the last joint of an arm

@@ -22,15 +22,7 @@ from planner.issues import Issue, TandemError
 from planner.motion import own_clearance
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import Places, blocked_places, connect
-from planner.motion.shortening import (
-    MOST_MOVES,
-    SAME_TRAVEL_RAD,
-    Rooms,
-    Task,
-    bent,
-    shortened,
-    travel,
-)
+from planner.motion.shortening import MOST_MOVES, SAME_TRAVEL_RAD, Rooms, Task, bent, shortened, travel
 from planner.motion.trajectory.hinges import levers
 from planner.runtime.executor import SERIAL, Executor
 from planner.targets import Targets

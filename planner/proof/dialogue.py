@@ -348,12 +348,7 @@ def chosen_groups(context: Context) -> Context:
 
 
 def _settled(
-    context: Context,
-    name: str,
-    claim: OneOf,
-    number: int,
-    said: dict[str, list[Spoken]],
-    untold: list[Issue],
+    context: Context, name: str, claim: OneOf, number: int, said: dict[str, list[Spoken]], untold: list[Issue]
 ) -> tuple[Claim, ...]:
     fitting = [group for group in claim.either if _is_told(context, group, number, said)]
     if len(fitting) == 1:

@@ -308,13 +308,7 @@ def _bad(
 
 
 def _clearance(
-    problem: Problem,
-    context: Context,
-    prover: Prover,
-    arm: str,
-    rows: IntArray,
-    q: FloatArray,
-    itself: bool,
+    problem: Problem, context: Context, prover: Prover, arm: str, rows: IntArray, q: FloatArray, itself: bool
 ) -> tuple[IntArray, FloatArray]:
     """The least distance [m] of bodies at samples, of those of ``rows`` that were looked at; ``itself``: of
     those of one arm, else of all others."""

@@ -161,10 +161,7 @@ def wire_faults(at_hand: Sequence[BentWire], operations: Sequence[Any]) -> Itera
             )
 
 
-Range = tuple[
-    Annotated[float, Field(gt=0, le=100_000)],
-    Annotated[float, Field(gt=0, le=100_000)],
-]
+Range = tuple[Annotated[float, Field(gt=0, le=100_000)], Annotated[float, Field(gt=0, le=100_000)]]
 
 
 class KerfFitFile(Strict):

@@ -14,13 +14,7 @@ from pydantic import Field, model_validator
 from planner.geometry import ruled_approximation
 from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import ArcRail, CurveKind, Loft, grid_counts, tessellate
-from planner.geometry.mesh import (
-    TriangleMesh,
-    check_surface,
-    face_areas,
-    offset,
-    vertex_normals,
-)
+from planner.geometry.mesh import TriangleMesh, check_surface, face_areas, offset, vertex_normals
 from planner.geometry.mesh_files import LARGEST_EXTENT, SMALLEST_EXTENT, read_mesh, unit_note
 from planner.geometry.ruled_approximation import Patch, find_rulings, of_mesh, of_surface
 from planner.geometry.rulings import edge_surface, resample

@@ -97,8 +97,7 @@ class OwnRobotFile(Strict):
         default=(), description="the same of meshes of <visual>, which are seen and do not count for anything"
     )
     sources: dict[str, str] = Field(
-        default_factory=dict,
-        description="where figures come from, by key: urdf, payload_kg ...",
+        default_factory=dict, description="where figures come from, by key: urdf, payload_kg ..."
     )
 
 

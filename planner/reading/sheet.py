@@ -145,11 +145,7 @@ def _clamp(spec: SheetFile, size: FloatArray) -> tuple[Shape, ...]:
             middle = 0.5 * (a + b) + 0.5 * c.width_mm * MM * outward
             turn = np.stack([np.append(along, 0), np.append(-outward, 0), [0.0, 0.0, 1.0]], axis=1)
             over = 2.0 * c.width_mm * MM * float(np.tan(np.pi / len(outline)))  # so that bars meet outside
-            bar = (
-                float(np.linalg.norm(b - a)) + over,
-                c.width_mm * MM,
-                float(high - low),
-            )
+            bar = (float(np.linalg.norm(b - a)) + over, c.width_mm * MM, float(high - low))
             out.append(Shape("box", bar, from_parts(turn, np.append(middle, 0.5 * (low + high)))))
     return tuple(out)
 
@@ -367,12 +363,7 @@ def _require_tolerance(
 
 
 def _noise_notes(
-    mesh: TriangleMesh,
-    meant: TriangleMesh,
-    noise: float,
-    tolerance: float,
-    stated: float | None,
-    path: Path,
+    mesh: TriangleMesh, meant: TriangleMesh, noise: float, tolerance: float, stated: float | None, path: Path
 ) -> tuple[Issue, ...]:
     """What was found of a mesh's noise, and how far the face that is formed is off its vertices."""
     if tolerance == 0.0:

@@ -69,9 +69,7 @@ for _one in (_Loader, _Dumper):
         for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
     _one.add_implicit_resolver(
-        "tag:yaml.org,2002:float",
-        re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-        list("-+0123456789."),
+        "tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+0123456789.")
     )
 
 

@@ -309,12 +309,7 @@ def create_app(service: Service) -> FastAPI:
             await asyncio.to_thread(service.close)
 
     app = FastAPI(
-        title="Tandem",
-        version=__version__,
-        description=ABOUT,
-        lifespan=life,
-        docs_url=None,
-        redoc_url=None,
+        title="Tandem", version=__version__, description=ABOUT, lifespan=life, docs_url=None, redoc_url=None
     )
     app.state.service = service
     for router in ROUTERS:

@@ -201,9 +201,7 @@ def _bodies(problem: Problem, setup: Setup, model: CellModel, place: FloatArray)
     return [*out, _body("stock", "part", None, wanted)] if wanted else out
 
 
-def _pieces(
-    pieces: Iterable[scenes.Piece],
-) -> dict[tuple[str, tuple[float, ...]], list[Mesh]]:
+def _pieces(pieces: Iterable[scenes.Piece]) -> dict[tuple[str, tuple[float, ...]], list[Mesh]]:
     """Meshes in the frame of their body, by body and colour, fine ones thinned out."""
     parts: dict[tuple[str, tuple[float, ...]], list[Mesh]] = {}
     for piece in pieces:

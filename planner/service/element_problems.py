@@ -11,15 +11,7 @@ from planner.batch.job import Done
 from planner.element import progress
 from planner.issues import Issue, Severity
 from planner.service.jobs import LAST_RELEASE, PICTURED, job_out, job_row
-from planner.service.models import (
-    CANCELLED,
-    ELEMENT_JOBS,
-    JOBS,
-    RELEASES,
-    BlockJobOut,
-    JobOut,
-    PanelOut,
-)
+from planner.service.models import CANCELLED, ELEMENT_JOBS, JOBS, RELEASES, BlockJobOut, JobOut, PanelOut
 
 _ALONE: Final = {"digest", "cycle_s", "thumbnail"}
 """What a panel does not have of the job that cuts it together with others."""

@@ -28,16 +28,7 @@ from planner.service.element_problems import Problem
 from planner.service.examined import Examined
 from planner.service.finding import Wanted
 from planner.service.idempotency import Once
-from planner.service.jobs import (
-    Jobs,
-    NewJob,
-    OfElement,
-    job_files,
-    job_out,
-    job_row,
-    put_files,
-    remove,
-)
+from planner.service.jobs import Jobs, NewJob, OfElement, job_files, job_out, job_row, put_files, remove
 from planner.service.models import (
     CANCELLED,
     ELEMENT_JOBS,
@@ -142,12 +133,7 @@ class Elements:
         return self._divide(owner, upload.problem.sha, upload.files, {}, {}, None, reading, once)
 
     def change(
-        self,
-        owner: str,
-        element: str,
-        fields: Mapping[str, Any],
-        reading: Reading,
-        once: Once | None = None,
+        self, owner: str, element: str, fields: Mapping[str, Any], reading: Reading, once: Once | None = None
     ) -> ElementOut:
         """Divide an element anew with fields replaced, as another one with the marks of this one, and called
         as it; raises as :meth:`create`."""

@@ -51,9 +51,7 @@ def withdraw(found: OwnJob, look: str, who: Asker, here: Here) -> Response:
 
 
 @router.get(
-    "/jobs/{job}/looks/{look}",
-    responses=refusals(403, 404, 422, 429, 503),
-    summary="Look at a job by a link",
+    "/jobs/{job}/looks/{look}", responses=refusals(403, 404, 422, 429, 503), summary="Look at a job by a link"
 )
 def look_at(
     request: Request, response: Response, job: str, look: str, here: Here, signature: Signature

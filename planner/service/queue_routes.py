@@ -14,18 +14,7 @@ from planner.service import idempotency
 from planner.service.draft_routes import VersionOf, mark_sent, versions_of
 from planner.service.estimates import EstimateOut
 from planner.service.models import JobList, JobOut
-from planner.service.routes import (
-    ASKED,
-    UPLOADED,
-    UPLOADS,
-    Asker,
-    Caller,
-    Here,
-    Key,
-    OwnJob,
-    Tag,
-    refusals,
-)
+from planner.service.routes import ASKED, UPLOADED, UPLOADS, Asker, Caller, Here, Key, OwnJob, Tag, refusals
 from planner.service.security import RefusedError
 from planner.service.storage import documented, take_upload, take_uploads
 from planner.service.texts import Line

@@ -117,12 +117,7 @@ async def release_panels(request: Request, element: str, who: Releaser, here: He
     )
 
 
-@router.get(
-    "/audit",
-    responses=refusals(422),
-    response_model_exclude_none=True,
-    summary="Who did what",
-)
+@router.get("/audit", responses=refusals(422), response_model_exclude_none=True, summary="Who did what")
 def log(
     who: Releaser,
     here: Here,

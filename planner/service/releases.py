@@ -15,17 +15,7 @@ from sqlalchemy import Connection, RowMapping, insert, select, update
 from planner.issues import Issue
 from planner.service import audit
 from planner.service.jobs import job_files, job_row, release_of
-from planner.service.models import (
-    JOBS,
-    RELEASES,
-    Database,
-    JobOut,
-    Release,
-    ReleaseOut,
-    Shown,
-    moment,
-    utc,
-)
+from planner.service.models import JOBS, RELEASES, Database, JobOut, Release, ReleaseOut, Shown, moment, utc
 from planner.service.security import LOCAL, RefusedError, Who
 from planner.service.storage import Blob, Files
 

@@ -525,10 +525,7 @@ async def create(
     upload = await take_upload(request, here.storage, owner, here.limits)
     once = idempotency.once(owner, key, "jobs", upload.content, timeout_s, memory_mb)
     (made,) = await here.made_once(
-        request,
-        owner,
-        once,
-        lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading, once),
+        request, owner, once, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading, once)
     )
     return made
 
@@ -657,10 +654,7 @@ def get(found: OwnJob) -> JobOut:
     "/jobs/{job}/events",
     summary="Events of a job as they happen",
     response_class=StreamingResponse,
-    responses={
-        200: {"content": {"text/event-stream": {"schema": EVENT_SCHEMA}}},
-        **refusals(404, 422, 429),
-    },
+    responses={200: {"content": {"text/event-stream": {"schema": EVENT_SCHEMA}}}, **refusals(404, 422, 429)},
 )
 def events(
     found: OwnJob,

@@ -346,12 +346,7 @@ class Service:
         return self.jobs.create_all(jobs, once)
 
     def batch(
-        self,
-        owner: str,
-        uploads: Mapping[str, Upload],
-        tag: str,
-        reading: Reading,
-        once: Once | None = None,
+        self, owner: str, uploads: Mapping[str, Upload], tag: str, reading: Reading, once: Once | None = None
     ) -> Pieces[list[JobOut]]:
         """A job for each of several problems with common files, all or none; raises as :meth:`create`, for
         all problems that cannot be read at once."""

@@ -44,13 +44,7 @@ class Blade:
         """Its outline (5, 2) [m]: before the TCP, and over it."""
         full = self.width - self.end
         return np.array(
-            [
-                [-self.end, 0.0],
-                [0.0, 0.0],
-                [full, self.ground],
-                [full, self.length],
-                [-self.end, self.length],
-            ]
+            [[-self.end, 0.0], [0.0, 0.0], [full, self.ground], [full, self.length], [-self.end, self.length]]
         )
 
 

@@ -260,9 +260,7 @@ MILLED: dict[str, Any] = {
     "cell": "../cells/irb4600_mill.yaml",
     "stock": {"size_mm": [120, 80, 50], "place": {"xyz_mm": [1300, 0, 800]}, "support": "table"},
     "settings": {"clearance_mm": 5},
-    "operations": [
-        {"name": "mill", "process": "milling", "arms": ["robot"], "cuts": [{"flank": "wall"}]},
-    ],
+    "operations": [{"name": "mill", "process": "milling", "arms": ["robot"], "cuts": [{"flank": "wall"}]}],
 }
 
 
@@ -318,16 +316,7 @@ def gcode_faults() -> dict[str, tuple[str, list[str]]]:
     return {
         "gcode_unstated": (
             "\n".join(
-                [
-                    "G90 S12000 M3",
-                    "G0 X-50 Y0 Z20",
-                    "G1 Z-2 F900",
-                    "G2 X50 I50 J0",
-                    "X0",
-                    "G0 Z20",
-                    "M30",
-                    "",
-                ]
+                ["G90 S12000 M3", "G0 X-50 Y0 Z20", "G1 Z-2 F900", "G2 X50 I50 J0", "X0", "G0 Z20", "M30", ""]
             ),
             ["gcode.unit", "gcode.feed", "gcode.plane"],
         ),

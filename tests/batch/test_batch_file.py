@@ -160,8 +160,7 @@ def test_a_value_that_the_problem_refuses_is_told_at_the_batch_files_line(tmp_pa
     assert "has 1 entries" in issues[0].message
     assert "known are poses" in issues[1].message
     path = write(
-        tmp_path,
-        "batch: 1\nproblem: base\nvary:\n  settings.clearance_mm: [-3]\n  settings.sped: [1]\n",
+        tmp_path, "batch: 1\nproblem: base\nvary:\n  settings.clearance_mm: [-3]\n  settings.sped: [1]\n"
     )
     with pytest.raises(TandemError) as caught:
         read_batch(path)[0].read()

@@ -86,10 +86,7 @@ def test_the_filter_is_listed_with_reasons_and_leaves_what_matters(model: plant.
     for kept in (("left/tool", "right/tool"), ("left/tool", "stock"), ("left/link_4", "table")):
         assert frozenset(kept) not in listed
     assert "the others are held apart" in listed[frozenset({"left/tool", "left/link_4"})]
-    for kept in (
-        ("left/tool", "left/base_link"),
-        ("left/link_2", "left/link_5"),
-    ):
+    for kept in (("left/tool", "left/base_link"), ("left/link_2", "left/link_5")):
         assert frozenset(kept) not in listed
 
 

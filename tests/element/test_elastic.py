@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 
 from planner.element import panel_faces
-from planner.element.elastic import (
-    Rules,
-    Search,
-    divide_elastic,
-    search,
-    table,
-)
+from planner.element.elastic import Rules, Search, divide_elastic, search, table
 from planner.element.elastic_panel import ElasticPanel, joints
 from planner.element.misfit import MISFIT_STEP
 from planner.element.panel_faces import CutWire

@@ -155,10 +155,7 @@ def _issue_digests(issues: list[dict[str, Any]]) -> Digests:
     text = {"message", "hint", "remedy"}
     bare = [{key: value for key, value in issue.items() if key not in text} for issue in issues]
     encode = json.JSONEncoder(sort_keys=True, default=str).encode
-    return {
-        "issues": _sha256(encode(issues).encode()),
-        "issues without text": _sha256(encode(bare).encode()),
-    }
+    return {"issues": _sha256(encode(issues).encode()), "issues without text": _sha256(encode(bare).encode())}
 
 
 def _sha256(content: bytes) -> str:

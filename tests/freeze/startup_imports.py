@@ -1,14 +1,7 @@
 """Modules that start-up imports; written by ``python -m tests.freeze --write imports``."""
 
 IMPORTS = {
-    "import planner": {
-        "modules": [
-            "planner",
-            "planner.runtime",
-            "planner.runtime.version",
-        ],
-        "packages": [],
-    },
+    "import planner": {"modules": ["planner", "planner.runtime", "planner.runtime.version"], "packages": []},
     "tandem --help": {
         "modules": [
             "planner",
@@ -37,13 +30,7 @@ IMPORTS = {
             "planner.runtime.memory",
             "planner.runtime.version",
         ],
-        "packages": [
-            "docstring_parser",
-            "rich",
-            "typeguard",
-            "typing_extensions",
-            "tyro",
-        ],
+        "packages": ["docstring_parser", "rich", "typeguard", "typing_extensions", "tyro"],
     },
     "load a problem": {
         "modules": [

@@ -35,7 +35,7 @@ SHOWN: dict[str, tuple[tuple[str, str], ...]] = {
         ("wider", r"error \[motion\.collision\] .*robot/tool with stock.* allowed is 60\.0 mm"),
         ("save", r"\.mod \d+ lines\n(.*\n)*\['motion\.json', .*'programs', .*'replay\.html', 'report\.html'"),
         ("motion", r"^0\.00 s, .*/1: TCP at \[.*'joint_6': -?\d"),
-    ),
+    )
 }
 """What cells show, by their ids."""
 

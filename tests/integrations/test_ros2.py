@@ -274,9 +274,7 @@ def ros(monkeypatch):
 
             return Future(
                 Message(
-                    accepted=said.accepted,
-                    get_result_async=lambda: Future(ended),
-                    cancel_goal_async=cancel,
+                    accepted=said.accepted, get_result_async=lambda: Future(ended), cancel_goal_async=cancel
                 )
             )
 

@@ -10,15 +10,7 @@ import pytest
 from scipy.optimize import brentq
 
 from planner.geometry.arrays import FloatArray
-from planner.loops.force_control import (
-    Axis,
-    Control,
-    Machine,
-    Sensor,
-    left_over,
-    simulate,
-    step_response,
-)
+from planner.loops.force_control import Axis, Control, Machine, Sensor, left_over, simulate, step_response
 
 
 def still(time: FloatArray) -> FloatArray:

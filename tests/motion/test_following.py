@@ -51,8 +51,7 @@ def test_distances_of_bodies_are_those_of_bases_row_by_row(tmp_path: Path) -> No
     post = {"kind": "box", "size_mm": [60, 400, 60], "pose": {"xyz_mm": [430, 0, 650]}}
     cell = following_job.problem(tmp_path, obstacles=[{"name": "post", "shapes": [post]}]).cell
     stands = dataclasses.replace(
-        cell.arms[0],
-        axes=tuple(dataclasses.replace(one, follow=None) for one in cell.arms[0].axes),
+        cell.arms[0], axes=tuple(dataclasses.replace(one, follow=None) for one in cell.arms[0].axes)
     )
     problem = following_job.problem(tmp_path)
     model = plant.build(cell, problem.stock, np.eye(4))

@@ -153,22 +153,10 @@ STOP = "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )\r\nBAS(#"
         ("left/straight_1.src", "&REL 1", "&REL 1\r\n&USER"),
         ("left/straight_1.src", "&ACCESS RVP\r\n", ""),
         ("left/straight_1.src", "\r\nSLIN", "\r\n;FOLD a\r\nPTP x_home\r\n;ENDFOLD\r\nSLIN"),
-        (
-            "left/straight_1.src",
-            "\r\nSLIN",
-            "\r\n;FOLD a\r\n;FOLD b\r\nHALT\r\n;ENDFOLD\r\n;ENDFOLD\r\nSLIN",
-        ),
+        ("left/straight_1.src", "\r\nSLIN", "\r\n;FOLD a\r\n;FOLD b\r\nHALT\r\n;ENDFOLD\r\n;ENDFOLD\r\nSLIN"),
         ("left/straight.src", "BAS(#", STOP.removeprefix("GLOBAL ")),
-        (
-            "left/straight.src",
-            "BAS(#",
-            STOP.replace("3", "4"),
-        ),
-        (
-            "left/straight.src",
-            "BAS(#",
-            STOP.replace("IR_STOPM", "straight_1"),
-        ),
+        ("left/straight.src", "BAS(#", STOP.replace("3", "4")),
+        ("left/straight.src", "BAS(#", STOP.replace("IR_STOPM", "straight_1")),
         ("left/straight.src", "BAS(#", "INTERRUPT OFF 3\r\nBAS(#"),
     ],
 )

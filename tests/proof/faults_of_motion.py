@@ -220,9 +220,7 @@ TIME: Final = (
         },
     ),
     Fault(
-        "acceleration_unbounded",
-        "posed_fast",
-        {"motion.trajectory.timing:Limits": given(1, _scaled(1e4))},
+        "acceleration_unbounded", "posed_fast", {"motion.trajectory.timing:Limits": given(1, _scaled(1e4))}
     ),
     Fault("tcp_speed_lost", "elastic", {"motion.trajectory.timing:least_times": result(_scaled(0.05))}),
     Fault(

@@ -111,32 +111,16 @@ FAULTS: Final = (
     # files of meshes
     Fault("mesh_unit", "ruled_mesh", {"geometry.mesh_files:read_mesh": given(1, lambda unit: 1.02 * unit)}),
     Fault("mesh_mirrored", "ruled_mesh", {"geometry.mesh_files:read_mesh": result(_mirrored_mesh)}),
-    Fault(
-        "mesh_moved",
-        "ruled_mesh",
-        {"geometry.mesh_files:read_mesh": fields(vertices=_moved(z=0.002))},
-    ),
+    Fault("mesh_moved", "ruled_mesh", {"geometry.mesh_files:read_mesh": fields(vertices=_moved(z=0.002))}),
     Fault(
         "mesh_rulings_shifted",
         "ruled_mesh",
         {"reading.part_surfaces:build_mesh": _ruled(end=_moved(z=0.002))},
     ),
     Fault("sheet_mesh_unit", "spif", {"geometry.mesh_files:read_mesh": given(1, lambda unit: 1.05 * unit)}),
-    Fault(
-        "sheet_mesh_deeper",
-        "spif",
-        {"geometry.mesh_files:read_mesh": fields(vertices=_times(z=1.2))},
-    ),
-    Fault(
-        "sheet_mesh_shallower",
-        "spif",
-        {"geometry.mesh_files:read_mesh": fields(vertices=_times(z=0.9))},
-    ),
-    Fault(
-        "sheet_mesh_narrower",
-        "oval",
-        {"geometry.mesh_files:read_mesh": fields(vertices=_times(x=0.95))},
-    ),
+    Fault("sheet_mesh_deeper", "spif", {"geometry.mesh_files:read_mesh": fields(vertices=_times(z=1.2))}),
+    Fault("sheet_mesh_shallower", "spif", {"geometry.mesh_files:read_mesh": fields(vertices=_times(z=0.9))}),
+    Fault("sheet_mesh_narrower", "oval", {"geometry.mesh_files:read_mesh": fields(vertices=_times(x=0.95))}),
     Fault(
         "sheet_mesh_axes_swapped",
         "oval",
@@ -162,9 +146,7 @@ FAULTS: Final = (
         {"geometry.wing:read_airfoil": result(lambda r: (r[0][::-1] * [1.0, -1.0], r[1]))},
     ),
     Fault(
-        "airfoil_thinner",
-        "wing",
-        {"geometry.wing:read_airfoil": result(lambda r: (r[0] * [1.0, 0.9], r[1]))},
+        "airfoil_thinner", "wing", {"geometry.wing:read_airfoil": result(lambda r: (r[0] * [1.0, 0.9], r[1]))}
     ),
     Fault("naca_half_thickness", "wing", {"geometry.wing:naca": result(lambda p: p * [1.0, 0.5])}),
     Fault("wing_twist_up", "wing", {"geometry.wing:_placed": given(3, lambda twist: -twist)}),
@@ -189,11 +171,7 @@ FAULTS: Final = (
     Fault("guides_end_lower", "ruled", {"reading.part_ruled:build_ruled": _ruled(end=_moved(z=-0.001))}),
     Fault("guides_paired_askew", "ruled", {"reading.part_ruled:build_ruled": result(_askew)}),
     Fault("guides_as_polygon", "ruled", {"geometry.curves:curve_points": _flat_curves}),
-    Fault(
-        "surface_inside_out",
-        "ruled",
-        {"geometry.placing:backwards": lambda old: lambda ruled: ruled},
-    ),
+    Fault("surface_inside_out", "ruled", {"geometry.placing:backwards": lambda old: lambda ruled: ruled}),
     Fault("outline_inside_out", "held", {"geometry.placing:outwards": lambda old: _inside_out}),
     Fault("hole_smaller", "plate", {"reading.part:build_plate": result(_shrunk_holes)}),
     Fault("hole_aside", "plate", {"reading.part:build_plate": result(_holes_beside)}),

@@ -611,11 +611,7 @@ MILLING: Final = (
         "spif",
         {"processes.forming.plan.support.directions:axes": given(1, lambda lean: lean + 0.2)},
     ),
-    Fault(
-        "form_cone_wide",
-        "spif",
-        {"processes.forming.plan.job:freedoms": result(_wide_tilts)},
-    ),
+    Fault("form_cone_wide", "spif", {"processes.forming.plan.job:freedoms": result(_wide_tilts)}),
     Fault("flank_axis_leans", "flank", {"processes.milling.plan.job:poses": given(1, _leaning)}),
     Fault(
         "lines_step_doubled", "lines", {"processes.milling.plan.point_cut:ridge_step": result(_scaled(2.5))}

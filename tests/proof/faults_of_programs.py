@@ -200,11 +200,7 @@ RAPID: Final = (
     Fault("post_slack_off", "elastic", {"languages.writing.steps:_written": given(0, _slack_off)}),
     Fault("gantry_value_off", "gantry", {_STATION: result(_first_off)}),
     Fault("gantry_values_swapped", "gantry", {_STATION: result(_values_swapped)}),
-    Fault(
-        "gantry_values_swapped_krl",
-        "gantry_krl",
-        {_STATION: result(_values_swapped)},
-    ),
+    Fault("gantry_values_swapped_krl", "gantry_krl", {_STATION: result(_values_swapped)}),
     Fault("gantry_in_metres", "gantry", {_STATION: result(_in_metres)}),
     Fault("gantry_order_reversed", "gantry", {"problem:in_turn": result(lambda names: names[::-1])}),
     Fault(

@@ -30,10 +30,7 @@ def plan(count=8):
     """The plan: the way of the small job's arms, without the wire between them."""
     whole = small_job.plan(count)
     (operation,) = whole.operations
-    actions = (
-        Action(0, "confirm", text="Is the block in place?"),
-        Action(0, "wait", seconds=1.0),
-    )
+    actions = (Action(0, "confirm", text="Is the block in place?"), Action(0, "wait", seconds=1.0))
     targets = dataclasses.replace(operation.targets, coupled=False, actions=actions)
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
 

@@ -439,11 +439,7 @@ M30
 def gcode(folder: Path) -> Path:
     """A ball nose follows a file of G-code with arcs, inches, increments and an offset."""
     (folder / "marks.nc").write_text(GCODE)
-    spec = {
-        "file": "marks.nc",
-        "origin": {"xyz_mm": [5, 3, 30]},
-        "offsets": {"G54": [2, 1, 0]},
-    }
+    spec = {"file": "marks.nc", "origin": {"xyz_mm": [5, 3, 30]}, "offsets": {"G54": [2, 1, 0]}}
     cuts = [{"name": "marks", "gcode": spec}]
     return small_mill.write(folder, small_mill.PANEL, small_mill.BALL, cuts=cuts, part=None)
 

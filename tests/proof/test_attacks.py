@@ -207,12 +207,7 @@ def test_options_that_change_a_move(option):
 @pytest.mark.parametrize("numbers", ["[FALSE,0.1,200,200,20,200,20]", "[FALSE,200,0.1,0.1,0.01,0.1,0.01]"])
 def test_zones_that_look_small(numbers):
     """Small for the way of the tool, large for its turning, or the other way round."""
-    texts = attacked(
-        "straight",
-        "Data",
-        "  ! zones",
-        f"  CONST zonedata z_x:={numbers};\n  ! zones",
-    )
+    texts = attacked("straight", "Data", "  ! zones", f"  CONST zonedata z_x:={numbers};\n  ! zones")
     rows = rows_of(texts, 1, "Cut1")
     i = moves(texts, 1, "cut_top")[3]
     rows[i] = re.sub(r",\w+,t_bow_400", ",z_x,t_bow_400", rows[i])

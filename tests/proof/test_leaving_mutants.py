@@ -130,13 +130,7 @@ def other_zones(texts):
     return put(texts, 2, rows)
 
 
-SAME = (
-    slow_entry,
-    slower_first_move,
-    resets,
-    other_stop,
-    other_zones,
-)
+SAME = (slow_entry, slower_first_move, resets, other_stop, other_zones)
 
 
 def test_the_same_in_other_words_passes():

@@ -133,11 +133,7 @@ WRONG = [
     ("cell.arms.1.name", "left", "problem.duplicate_name"),
     ("cell.arms.1.name", "LEFT", "problem.duplicate_name"),
     ("cell.arms.1.tool", {"kind": "plain", "tcp": {}, "mass_kg": -1}, "problem.field"),
-    (
-        "cell.arms.1.tool",
-        {"kind": "plain", "tcp": {}, "mass_kg": 900},
-        "problem.field",
-    ),
+    ("cell.arms.1.tool", {"kind": "plain", "tcp": {}, "mass_kg": 900}, "problem.field"),
     ("cell.controller.tasks", ["T_ROB1"], "post.tasks"),
     ("cell.obstacles", [CELL["obstacles"][0]] * 2, "problem.duplicate_name"),
     ("cell.obstacles.0.shapes", [{"kind": "mesh", "file": "no.obj", "unit": "mm"}], "problem.missing_file"),

@@ -240,9 +240,7 @@ def test_what_to_do_is_of_the_arm_at_hand():
     short = tuple(part[:5] for part in OFFSET)
     (five,) = refused(urdf_text.arm(*map(np.array, short), pose(1.3, 0, 1, SIDE)))
     (early,) = refused(urdf_text.arm(*map(np.array, OFFSET), pose(1.3, 0, 1, SIDE)), tip="l5")
-    (table,) = refused(
-        urdf_text.arm(*(np.array(part[:1]) for part in OFFSET), pose(1.3, 0, 1, SIDE)),
-    )
+    (table,) = refused(urdf_text.arm(*(np.array(part[:1]) for part in OFFSET), pose(1.3, 0, 1, SIDE)))
     assert "take the version of it with six axes" in five.hint and "five axes" in early.message
     assert "name the flange behind the sixth axis as tip" in early.hint
     assert (

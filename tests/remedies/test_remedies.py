@@ -75,9 +75,7 @@ REMEDIES: dict[str, Mapping[str, Any]] = {
         "part.ruled.0.start": guide([-40, 0, 36], [0, 20, 36]),
         "part.ruled.0.end": guide([-40, 0, 50], [0, 20, 50]),
     },
-    "mill_unreachable": {
-        "stock.place.xyz_mm.0": Said("move the stock by (#, 0, 0) mm", more=True),
-    },
+    "mill_unreachable": {"stock.place.xyz_mm.0": Said("move the stock by (#, 0, 0) mm", more=True)},
     # sheet
     "sheet_tool_too_big": {
         "cell.arms.0.tool.radius_mm": Said("largest radius that fits is # mm", 0.01, down=True)

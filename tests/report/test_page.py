@@ -157,8 +157,7 @@ def test_figures_at_a_glance_are_those_of_the_proof(
 
 
 @pytest.mark.parametrize(
-    ("ok", "issues", "word"),
-    [(True, (), "Planned and proven"), (False, (), "Proof failed: no programs")],
+    ("ok", "issues", "word"), [(True, (), "Planned and proven"), (False, (), "Proof failed: no programs")]
 )
 def test_verdict(
     problem: Problem, plan: Plan, proof: Proof, ok: bool, issues: tuple[Issue, ...], word: str

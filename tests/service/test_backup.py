@@ -63,8 +63,7 @@ def refused(folder: Path, data: Path, database: str | None = None) -> str:
 
 
 @pytest.mark.parametrize(
-    ("kind", "into"),
-    [("sqlite", "postgresql"), pytest.param("postgresql", "sqlite", marks=pytest.mark.long)],
+    ("kind", "into"), [("sqlite", "postgresql"), pytest.param("postgresql", "sqlite", marks=pytest.mark.long)]
 )
 def test_backups_under_load_hold_what_they_list(tmp_path: Path, kind: str, into: str) -> None:
     """Two threads send jobs and delete some of them, and the service sweeps, while backups are made; what was

@@ -270,8 +270,7 @@ def _table() -> bytes:
 
 
 FREE_SPIN = small_problem.PROBLEM.replace(
-    "frame: world}",
-    "frame: world,\n     free: [{name: spin, arms: [left], axis: z, turn_deg: [-170, 170]}]}",
+    "frame: world}", "frame: world,\n     free: [{name: spin, arms: [left], axis: z, turn_deg: [-170, 170]}]}"
 )
 
 

@@ -140,10 +140,7 @@ def test_what_is_left_out_stays_and_what_is_empty_goes(shop: Shop) -> None:
     found = shop.ask("ann", "PATCH", path, json={"title": "", "tags": [], "notes": ""}).json()
     assert (found["title"], found["tags"], found["notes"]) == ("", [], "")
     assert names(shop, "search=changed") == ["changed"]
-    for name, status, issues in (
-        ("lea", 403, [("service.role", "Authorization")]),
-        ("eve", 404, UNKNOWN),
-    ):
+    for name, status, issues in (("lea", 403, [("service.role", "Authorization")]), ("eve", 404, UNKNOWN)):
         answer = shop.ask(name, "PATCH", path, json={"title": "mine"})
         assert (answer.status_code, codes(answer)) == (status, issues)
     shop.ask("ann", "DELETE", path)

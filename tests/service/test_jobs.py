@@ -203,10 +203,7 @@ def test_check_tells_what_is_known_without_planning(here: InProcess) -> None:
 
 def test_check_can_test_reach(here: InProcess) -> None:
     far = named("far").replace("[450, 0, 0]", "[450, 0, 1]")
-    files = [
-        ("problem", ("p.yaml", far)),
-        ("files", ("targets.csv", TABLE.replace(b"450,", b"4500,"))),
-    ]
+    files = [("problem", ("p.yaml", far)), ("files", ("targets.csv", TABLE.replace(b"450,", b"4500,")))]
     found = here.http.post("/v1/check?reach=true", files=files).json()
     assert not found["ok"]
     assert "motion.no_reach" in [issue["code"] for issue in found["issues"]]

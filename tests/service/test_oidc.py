@@ -286,11 +286,7 @@ def test_an_account_is_called_by_what_its_provider_vouches_for() -> None:
 
 @pytest.mark.parametrize(
     "about",
-    [
-        {"issuer": "https://evil.example"},
-        {"token_endpoint": "http://evil.example/token"},
-        {"jwks_uri": None},
-    ],
+    [{"issuer": "https://evil.example"}, {"token_endpoint": "http://evil.example/token"}, {"jwks_uri": None}],
 )
 def test_a_provider_that_is_another_one_is_not_asked(
     log_in: LogIn, forger: Forger, about: dict[str, Any]

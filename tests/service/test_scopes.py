@@ -19,11 +19,7 @@ from planner.service import scopes
 from tests.service.support import HERE, InProcess, codes, named
 from tests.service.test_roles import REFUSED, UNKNOWN, Shop, bearer, opened, store
 
-SEEN: Final = {
-    "report.html",
-    "release.json",
-    "programs/main.mod",
-}
+SEEN: Final = {"report.html", "release.json", "programs/main.mod"}
 """Files of a released job that a screen at the cell reads, of those that the pretended team makes."""
 
 

@@ -30,8 +30,7 @@ def written(path: Path, kind: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"),
-    [("a.obj", ""), ("a.stl", ""), ("a.ply", ""), ("a.STL", "ascii"), ("a.ply", "text")],
+    ("name", "kind"), [("a.obj", ""), ("a.stl", ""), ("a.ply", ""), ("a.STL", "ascii"), ("a.ply", "text")]
 )
 def test_the_count_is_what_trimesh_reads(tmp_path: Path, name: str, kind: str) -> None:
     path = written(tmp_path / name.lower(), kind)

@@ -11,16 +11,7 @@ from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.geometry.mesh_repair import border
 from planner.shell.bisection import bisected
 from planner.shell.contours import _corners
-from planner.shell.mesh import (
-    FLANGE,
-    FLOOR,
-    WALL,
-    SheetMesh,
-    Wall,
-    cone_rings,
-    mesh_sheet,
-    mesh_walls,
-)
+from planner.shell.mesh import FLANGE, FLOOR, WALL, SheetMesh, Wall, cone_rings, mesh_sheet, mesh_walls
 from tests.shell.sheets import WINDOW
 
 

@@ -24,11 +24,7 @@ def sunk(sheet: Sheet, border: str | float, place: FloatArray, *forces: float) -
 
 @pytest.mark.parametrize(
     ("youngs", "poisson", "border", "wanted"),
-    [
-        (68e9, 0.3, "sliding", 5.33),
-        (70e9, 0.33, "sliding", 5.23),
-        (70e9, 0.33, "immovable", 3.79),
-    ],
+    [(68e9, 0.3, "sliding", 5.33), (70e9, 0.33, "sliding", 5.23), (70e9, 0.33, "immovable", 3.79)],
 )
 @pytest.mark.parametrize("membrane", ["optimal", "constant strain"])
 def test_a_clamped_plate_under_400_newton(
@@ -59,11 +55,7 @@ def test_a_spring_at_the_border_lies_between_sliding_and_immovable() -> None:
 
 @pytest.mark.parametrize(
     ("triangles", "membrane"),
-    [
-        (1500, "optimal"),
-        (1500, "constant strain"),
-        pytest.param(4000, "optimal", marks=pytest.mark.long),
-    ],
+    [(1500, "optimal"), (1500, "constant strain"), pytest.param(4000, "optimal", marks=pytest.mark.long)],
 )
 def test_a_cone_at_its_floors_edge(triangles: int, membrane: Membrane) -> None:
     sheet, place = cone(0.05, triangles, membrane)

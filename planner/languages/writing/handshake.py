@@ -30,13 +30,7 @@ from planner.claims.handshake import Handshake, SignalWire
 from planner.claims.sentences import Sentence
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, Severity
-from planner.languages.writing.layout import (
-    TIME_DECIMALS,
-    Drift,
-    Job,
-    OperationProgram,
-    TaskProgram,
-)
+from planner.languages.writing.layout import TIME_DECIMALS, Drift, Job, OperationProgram, TaskProgram
 from planner.plans import Plan
 from planner.problem import Problem, Setup
 from planner.targets import Targets

@@ -6,12 +6,7 @@ from typing import NamedTuple
 
 from planner.cell import axis_way
 from planner.geometry.units import DEG, MM
-from planner.languages.writing.layout import (
-    Joints,
-    Outer,
-    Step,
-    TaskProgram,
-)
+from planner.languages.writing.layout import Joints, Outer, Step, TaskProgram
 from planner.plans import Plan
 from planner.problem import OUTER_DECIMALS, Arm, Cell, Problem, Turntable, in_turn
 

@@ -10,13 +10,7 @@ from collections.abc import Sequence
 from planner.claims.claim import Claim
 from planner.claims.segments import Segment
 from planner.issues import Issue
-from planner.languages.writing.language import (
-    makers_languages,
-    unwritten,
-    writer_of,
-    writers,
-    writers_in_use,
-)
+from planner.languages.writing.language import makers_languages, unwritten, writer_of, writers, writers_in_use
 from planner.problem import Arm, Problem
 from planner.targets import Targets
 

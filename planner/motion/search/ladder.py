@@ -96,11 +96,7 @@ class Ladder:
     blocked."""
 
     def __init__(
-        self,
-        grid: Grid,
-        rungs: Sequence[Rungs],
-        moves: Sequence[Steps],
-        extra: FloatArray | None = None,
+        self, grid: Grid, rungs: Sequence[Rungs], moves: Sequence[Steps], extra: FloatArray | None = None
     ) -> None:
         """``extra`` (N, S) [s] is a cost of samples for all arms, such as the distance from a preferred
         value."""

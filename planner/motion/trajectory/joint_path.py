@@ -232,12 +232,7 @@ def _at_targets(scene: Scene, targets: Targets, samples: Dense) -> dict[str, Flo
 
 
 def corner_shares(
-    scene: Scene,
-    targets: Targets,
-    samples: Dense,
-    length: FloatArray,
-    duration: FloatArray,
-    stop: BoolArray,
+    scene: Scene, targets: Targets, samples: Dense, length: FloatArray, duration: FloatArray, stop: BoolArray
 ) -> FloatArray:
     """At least which share (N,) of the shorter move beside it the corner at each target is rounded over, for
     moves to the targets whose times are in proportion to ``duration`` (N,), with stops at targets (N,);
@@ -292,11 +287,7 @@ def from_stop_to_stop(spline: CubicSpline, acceleration: FloatArray) -> float:
 
 
 def ramps(
-    spline: CubicSpline,
-    knots: FloatArray,
-    length: FloatArray,
-    duration: FloatArray,
-    acceleration: FloatArray,
+    spline: CubicSpline, knots: FloatArray, length: FloatArray, duration: FloatArray, acceleration: FloatArray
 ) -> tuple[float, float]:
     """Shares of the joint accelerations (J,) that the first move from a stop and the last one to a stop ask
     for, if the moves between the positions ``knots``, of ``length`` (n,), last ``duration`` (n,) [s]: each is

@@ -178,10 +178,7 @@ Rounded = Callable[[FloatArray, BoolArray], FloatArray]
 
 
 def settled(
-    path: JointPath,
-    limits: Limits,
-    rounded: Rounded,
-    known: "dict[bytes, TimedPiece] | None" = None,
+    path: JointPath, limits: Limits, rounded: Rounded, known: "dict[bytes, TimedPiece] | None" = None
 ) -> Clock:
     """The clock of :func:`clock`, again where its own times leave the corners less room than the limits
     have."""

@@ -62,8 +62,5 @@ class FollowsTable(Claim):
     run_up: float = 0.0
 
 
-CLAIMS: Final[tuple[type[Claim], ...]] = (
-    FollowsPoses,
-    FollowsTable,
-)
+CLAIMS: Final[tuple[type[Claim], ...]] = (FollowsPoses, FollowsTable)
 """Kinds of claims of supplied poses."""

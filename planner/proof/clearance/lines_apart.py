@@ -23,10 +23,7 @@ LEAST_NORMAL = 1e-3
 
 
 def slides(
-    one: tuple[Shape, FloatArray],
-    two: tuple[Shape, FloatArray],
-    way: FloatArray,
-    goes: tuple[float, float],
+    one: tuple[Shape, FloatArray], two: tuple[Shape, FloatArray], way: FloatArray, goes: tuple[float, float]
 ) -> bool:
     """Whether the one of two shapes at their poses (4, 4), which ``goes`` so far [m] back and forth along a
     ``way`` (3,) from there, slides along the other, which bears it: a plane along the way lies between them,

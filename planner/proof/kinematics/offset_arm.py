@@ -83,9 +83,7 @@ def _solved(chain: Chain, near: FloatArray, flange: FloatArray) -> FloatArray:
     for count in range(_ROUNDS):
         lines, points, tip = _axes(chain, q)
         turn = np.einsum(
-            "sij,sj->si",
-            tip[:, :3, :3],
-            log_rotation(np.swapaxes(tip[:, :3, :3], 1, 2) @ flange[:, :3, :3]),
+            "sij,sj->si", tip[:, :3, :3], log_rotation(np.swapaxes(tip[:, :3, :3], 1, 2) @ flange[:, :3, :3])
         )
         twist = np.concatenate([turn, flange[:, :3, 3] - tip[:, :3, 3]], axis=1)
         off = np.abs(twist).max(axis=1)

@@ -124,10 +124,7 @@ class Bent:
 
 
 def bent(
-    motion: Motion,
-    arms: Sequence[Mapping[str, Bent]],
-    sample_setup: IntArray,
-    node_setup: IntArray,
+    motion: Motion, arms: Sequence[Mapping[str, Bent]], sample_setup: IntArray, node_setup: IntArray
 ) -> Motion:
     """The motion of arms as they stand: ``tcp``, ``node_tcp`` and places between samples are those of the
     bent arms, ``bends`` their joints, while ``q`` stays what the controllers count. ``arms``: by setup, those

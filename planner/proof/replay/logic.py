@@ -1,12 +1,6 @@
 """What stands between two moves, and how long it takes."""
 
-from planner.programs.steps import (
-    MessageStep,
-    MoveStep,
-    SettingStep,
-    Step,
-    WaitStep,
-)
+from planner.programs.steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
 
 
 def between(steps: tuple[Step, ...], count: int) -> list[list[Step]]:

@@ -404,10 +404,7 @@ def driven_knots(
 
 
 def make_law(
-    rows: Sequence[Row],
-    starts: Sequence[FloatArray],
-    joints: Sequence[FloatArray],
-    stop: BoolArray,
+    rows: Sequence[Row], starts: Sequence[FloatArray], joints: Sequence[FloatArray], stop: BoolArray
 ) -> tuple[TimeLaw, tuple[FloatArray, ...]]:
     """The time law of the moves, and each arm's steps (N, 6) by way [m] and turning [rad]: the slowest of the
     arms sets each move's time, the smallest zone the rounding. ``starts`` (4, 4) are each row's TCP in the
@@ -561,13 +558,7 @@ def branches_on_way(row: Row, a: int, b: int, here: FloatArray) -> IntArray:
 
 
 def joints_on_way(
-    row: Row,
-    law: TimeLaw,
-    a: int,
-    branch: IntArray,
-    here: FloatArray,
-    when: FloatArray,
-    tcp: FloatArray,
+    row: Row, law: TimeLaw, a: int, branch: IntArray, here: FloatArray, when: FloatArray, tcp: FloatArray
 ) -> FloatArray:
     """Joint angles (S, 6) on straight moves from move a on: the ``branch`` of each move's target,
     unwrapped from the joints ``here`` of the sample before; ``law`` is that of these moves."""

@@ -319,12 +319,7 @@ class _Player:
         return np.asarray(inverse(flange @ row.ride) @ here)
 
     def _carried(
-        self,
-        row: Row,
-        carrier: Row | None,
-        before: Mapping[str, FloatArray],
-        look_move: IntArray,
-        count: int,
+        self, row: Row, carrier: Row | None, before: Mapping[str, FloatArray], look_move: IntArray, count: int
     ) -> "_Carried":
         """The frame that carries a row's work: at the last ``count`` samples of its arm, at the start, at
         nodes, and at instants between samples, when the moves ``look_move`` (C,) are under way."""

@@ -124,11 +124,7 @@ class _Walk:
     """Goes through the slots with one signal of the controller that runs the tasks ``own``."""
 
     def __init__(
-        self,
-        context: Context,
-        signal: str,
-        own: Collection[str],
-        dwells: Mapping[tuple[int, str], float],
+        self, context: Context, signal: str, own: Collection[str], dwells: Mapping[tuple[int, str], float]
     ) -> None:
         self.context, self.signal, self.key, self.dwells = context, signal, signal.lower(), dwells
         self.own = own

@@ -54,11 +54,7 @@ def rigid_fit(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def align(
-    a: FloatArray,
-    b: FloatArray,
-    names: Sequence[str],
-    arms: tuple[str, str],
-    used: BoolArray | None = None,
+    a: FloatArray, b: FloatArray, names: Sequence[str], arms: tuple[str, str], used: BoolArray | None = None
 ) -> Alignment:
     """The second robot's base in that of the first, from points (N, 3) [m] as the first (``a``) and the
     second robot (``b``) probed them, each in its own base; ``used`` (N,) leaves others out.

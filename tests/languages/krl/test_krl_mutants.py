@@ -98,10 +98,7 @@ def test_harmless_rewrites_are_proven(name, dialect):
 
 def missed(each, seed):
     """Kinds and numbers of mutants that were proven, and how many were tried."""
-    jobs = (
-        (MUTATORS, prover("krl"), krl_job.programs()),
-        (OLDER, older_prover(), krl_job.older_programs()),
-    )
+    jobs = ((MUTATORS, prover("krl"), krl_job.programs()), (OLDER, older_prover(), krl_job.older_programs()))
     out, tried = [], 0
     for table, proving, programs in jobs:
         for n, (kind, (_, mutate)) in enumerate(table.items()):

@@ -99,9 +99,7 @@ def test_the_same_long_path_has_the_same_answer() -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_windows_that_gain_too_little_are_refused_before_their_clock(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_windows_that_gain_too_little_are_refused_before_their_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is too little beside what freedoms can change of the cost."""
     monkeypatch.setattr(operation, "LEAST_PROGRAM_GAIN", 0.9)
     monkeypatch.setattr(operation, "_worse", lambda *_: pytest.fail("a clock was made and looked at"))

@@ -77,14 +77,7 @@ def test_the_clean_proof_tells_the_largest_shift(proven: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("joints", 1.01),
-        ("mass", 0.9),
-        ("cog", 1.1),
-        ("force", -1.0),
-        ("most", 2.0),
-    ],
+    ("field", "value"), [("joints", 1.01), ("mass", 0.9), ("cog", 1.1), ("force", -1.0), ("most", 2.0)]
 )
 def test_a_claim_that_is_not_the_problems_is_refused(field: str, value: float, proven: Any) -> None:
     problem, claims, programs = proven

@@ -103,10 +103,7 @@ MUTANTS = {
         lambda t: first(t, "base_frame:=[[0.0000,0.0000", "base_frame:=[[0.0000,50.0000"),
     ),
     "a fast track": ("external_axes", lambda t: first(t, "v_entry:=[250,45,250,", "v_entry:=[250,45,900,")),
-    "not folded": (
-        "external_axes",
-        lambda t: re.sub(r"\n *MoveAbsJ j_2_station_1[^\n]*", "", t, count=1),
-    ),
+    "not folded": ("external_axes", lambda t: re.sub(r"\n *MoveAbsJ j_2_station_1[^\n]*", "", t, count=1)),
     "nobody keeps off": (
         "external_axes",
         lambda t: re.sub(

@@ -209,11 +209,7 @@ def _off(curve: _Curve, step: FloatArray, some: slice) -> FloatArray:
 
 
 def _curve(
-    step: FloatArray,
-    least: FloatArray,
-    most: FloatArray,
-    missing: BoolArray,
-    some: slice = slice(None),
+    step: FloatArray, least: FloatArray, most: FloatArray, missing: BoolArray, some: slice = slice(None)
 ) -> _Curve:
     """The family's corners: ``step`` (N, 5, D), ``least`` and ``most`` (N, 5) of g_i / g_k; ``missing``
     (N, 5) beyond the ends of the block. Parts across are those in the numbers ``some`` of D."""

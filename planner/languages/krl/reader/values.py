@@ -40,8 +40,7 @@ _NUMBER = rf"[+-]?{UNSIGNED}(?![\w.])"
 _BITS = r"'[Bb](?P<bits>[01]{1,8})'"
 """A whole number by its bits."""
 _COMPONENT = re.compile(
-    rf"\s*(?P<name>[A-Z]+\d?)\s+(?:(?P<number>{_NUMBER})|{_BITS}|(?P<open>\{{))\s*",
-    re.IGNORECASE | re.ASCII,
+    rf"\s*(?P<name>[A-Z]+\d?)\s+(?:(?P<number>{_NUMBER})|{_BITS}|(?P<open>\{{))\s*", re.IGNORECASE | re.ASCII
 )
 """A component of a structure and its value."""
 

@@ -108,11 +108,7 @@ def curve(position: FloatArray, quaternion: FloatArray, duration: FloatArray) ->
 
 
 def _terms(
-    step: FloatArray,
-    least: FloatArray,
-    most: FloatArray,
-    there: BoolArray,
-    some: slice = slice(None),
+    step: FloatArray, least: FloatArray, most: FloatArray, there: BoolArray, some: slice = slice(None)
 ) -> _Terms:
     """The largest parts (4,) across the middle one of five steps (5, D), and the least and largest along it
     in its own length, of both ends' slopes, less the move's own, and curvatures; across in the numbers

@@ -90,10 +90,7 @@ def _eio(
     signals += [
         {"Name": name, "SignalType": "DO", "Access": "ReadOnly"} for name in (lock.cycle, lock.motors)
     ]
-    states = [
-        {"Status": "CycleOn", "Signal": lock.cycle},
-        {"Status": "MotOnState", "Signal": lock.motors},
-    ]
+    states = [{"Status": "CycleOn", "Signal": lock.cycle}, {"Status": "MotOnState", "Signal": lock.motors}]
     levels: list[ConfigurationRow] = []
     if set(requests) - set(torches):
         levels.append({"Name": "TandemRequest", "Rapid": None, "LocalManual": None, "LocalAuto": None})

@@ -345,11 +345,7 @@ def _row(number: int, line: str) -> Any:
         raise RowError("syntax", "the row holds other characters than ASCII")
     try:
         value = json.loads(
-            line,
-            object_pairs_hook=_object,
-            parse_constant=_constant,
-            parse_float=_number,
-            parse_int=_number,
+            line, object_pairs_hook=_object, parse_constant=_constant, parse_float=_number, parse_int=_number
         )
     except (ValueError, RecursionError) as wrong:
         raise RowError("syntax", f"the row is no JSON: {wrong}") from None

@@ -40,8 +40,4 @@ def _read(problem: Problem, arms: Arms, files: Files) -> ReadTasks:
     return ReadTasks((TaskText(name, arm, text, steps, files),), text.faults, lost)
 
 
-READER: Final = Reader(
-    read=_read,
-    move_pattern=_MOVE_PATTERN,
-    known_moves=frozenset({"movej", "movel"}),
-)
+READER: Final = Reader(read=_read, move_pattern=_MOVE_PATTERN, known_moves=frozenset({"movej", "movel"}))

@@ -149,14 +149,7 @@ def check_function(line: int, runs: int, own: int, off: Sequence[str], text: str
     """A function that does ``off``, shows ``text`` and ends the program unless the input ``line`` has a
     level, the input ``runs`` is high, and the output ``own`` has a level of its own."""
     wrong = f"{input_call(line)}!=level or {input_call(runs)}==False or {output_call(own)}!=own"
-    return [
-        f"def {CHECK}(level,own):",
-        f"if {wrong}:",
-        *off,
-        *ended(text),
-        "end",
-        "end",
-    ]
+    return [f"def {CHECK}(level,own):", f"if {wrong}:", *off, *ended(text), "end", "end"]
 
 
 def watch_thread(number: int, own: int, off: Sequence[str], text: str) -> list[str]:
@@ -189,12 +182,7 @@ def still(track: Track, before: FloatArray) -> BoolArray:
 def stays_low(number: int, off: str, text: str) -> list[str]:
     """The program ends when the output ``number`` is on before it has switched anything: it does ``off``
     before the text, for the other program would take this one for one that runs."""
-    return [
-        f"if {output_call(number)}:",
-        off,
-        *ended(text),
-        "end",
-    ]
+    return [f"if {output_call(number)}:", off, *ended(text), "end"]
 
 
 def awaited(word: str, value: int, seconds: float) -> str:

@@ -293,10 +293,7 @@ def _steps(count: int) -> Iterator[tuple[slice, _Here]]:
     for begin in range(0, count - 1, SAMPLES_AT_ONCE):
         end = min(begin + SAMPLES_AT_ONCE, count - 1)
         first = max(begin - 1, 0)
-        yield (
-            slice(first, min(end + 2, count)),
-            _Here(slice(begin, end), slice(begin - first, end - first)),
-        )
+        yield (slice(first, min(end + 2, count)), _Here(slice(begin, end), slice(begin - first, end - first)))
 
 
 def _corner(before: FloatArray, behind: FloatArray, joined: BoolArray, steps: slice) -> FloatArray:

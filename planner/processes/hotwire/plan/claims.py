@@ -458,7 +458,7 @@ def _elastic_claims(op: ElasticWire, own: WireFile, setup: Setup, part: Part | N
     for name in op.faces:
         segment, face = Segment("cut", name), _face(op, name, part)
         out.append(
-            facts.CutsSurface(segment, face.vertices, face.faces, kerf, op.shape_tol_mm * MM, op.share),
+            facts.CutsSurface(segment, face.vertices, face.faces, kerf, op.shape_tol_mm * MM, op.share)
         )
         out.append(FeedWindow(segment, op.feed_min_mm_s * MM, op.feed_mm_s * MM))
         if op.power_w is not None:

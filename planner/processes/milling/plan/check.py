@@ -231,10 +231,7 @@ def _longer(work: Work, one: Done, points: FloatArray, allowed: float) -> str:
 
 
 def _clear(
-    points: FloatArray,
-    ways: Sequence[tuple[FloatArray, FloatArray]],
-    tool: Sequence[Section],
-    allowed: float,
+    points: FloatArray, ways: Sequence[tuple[FloatArray, FloatArray]], tool: Sequence[Section], allowed: float
 ) -> bool:
     """Whether no point is deeper in these sections of a tool than is allowed along all of its ways."""
     return all(

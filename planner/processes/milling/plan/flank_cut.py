@@ -266,10 +266,7 @@ def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, radius: float, fi
             what += f"{stays / MM:.2f} mm off the corner; round both guides there by "
             what += f"{_up(ROUNDING_FACTOR * radius):.2f} mm or more"
             yield Issue(
-                "milling.corner",
-                what,
-                field=field,
-                **measurement(turn / DEG, INNER_CORNER_TURN / DEG, "deg"),
+                "milling.corner", what, field=field, **measurement(turn / DEG, INNER_CORNER_TURN / DEG, "deg")
             )
 
 

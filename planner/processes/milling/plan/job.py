@@ -95,11 +95,7 @@ def _dialogue(work: Work) -> OperatorDialogue:
         tell = message_step(milling_sentences.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
     return OperatorDialogue(
         op.arms,
-        (
-            tell,
-            question_step(milling_sentences.BLOCK_READY),
-            *power_on_steps(op.signal, op.spin_up_s),
-        ),
+        (tell, question_step(milling_sentences.BLOCK_READY), *power_on_steps(op.signal, op.spin_up_s)),
         (*power_off_steps(op.signal, op.spin_down_s), question_step(milling_sentences.STANDS)),
     )
 

@@ -119,11 +119,7 @@ def _speeds(path: ToolPath, stretches: Sequence[tuple[int, int]], file: str) -> 
 
 
 def _questions(
-    path: ToolPath,
-    events: Sequence[Event],
-    stretch: tuple[int, int],
-    since: int,
-    before: float,
+    path: ToolPath, events: Sequence[Event], stretch: tuple[int, int], since: int, before: float
 ) -> str:
     """What the operator is asked before a pass, with the spindle standing; empty for nothing. The pass
     before ended at row ``since``, at the speed ``before``."""
@@ -138,12 +134,7 @@ def _questions(
 
 
 def _run(
-    name: str,
-    path: ToolPath,
-    waits: Sequence[tuple[int, float]],
-    asked: str,
-    tolerance: float,
-    step: float,
+    name: str, path: ToolPath, waits: Sequence[tuple[int, float]], asked: str, tolerance: float, step: float
 ) -> Run | None:
     """A pass, thinned; None where it goes nowhere."""
     points = np.stack([path.tip, path.tip + AXIS_LEVER * path.axis], axis=1)

@@ -5,14 +5,7 @@ from typing import Final
 
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
 from planner.claims.segments import Segment
-from planner.processes.milling.claims import (
-    MILL,
-    MillsAlong,
-    MillsFlank,
-    MillsOver,
-    MillsSurface,
-    SparesPart,
-)
+from planner.processes.milling.claims import MILL, MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.processes.milling.proof import wanted_ways
 from planner.processes.milling.proof.made_surfaces import SURFACES
 from planner.processes.milling.proof.rules import cutter

@@ -66,12 +66,7 @@ def claims(op: Trim, setup: Setup, tool: Trimmer, rough: float) -> tuple[Claim, 
 
 def _cutter(by: MillCut, tool: Mill) -> TrimCutter:
     return TrimCutter(
-        tool.cutter,
-        by.below_mm * MM,
-        by.start_mm * MM,
-        by.entry == "ramp",
-        by.plunge_mm_s * MM,
-        by.spin_up_s,
+        tool.cutter, by.below_mm * MM, by.start_mm * MM, by.entry == "ramp", by.plunge_mm_s * MM, by.spin_up_s
     )
 
 
@@ -112,11 +107,7 @@ def told(op: Trim, setup: Setup, torch: Trimmer) -> dict[str, float | str]:
         }
     if not isinstance(torch, Torch):
         return own
-    return own | {
-        "cuts_by": torch.cuts_by,
-        "kerf_mm": torch.kerf / MM,
-        "off_mm": torch.standoff / MM,
-    }
+    return own | {"cuts_by": torch.cuts_by, "kerf_mm": torch.kerf / MM, "off_mm": torch.standoff / MM}
 
 
 def _dialogue(op: Trim, setup: Setup, torch: Trimmer) -> OperatorDialogue:

@@ -245,13 +245,7 @@ def _cut_at(heading: FloatArray, most: float) -> list[int]:
 
 
 def _stretch(
-    op: Trim,
-    by: KnifeCut,
-    one: Wanted,
-    ring: _Ring,
-    span: _Span,
-    tool: tuple[Blade, float, float],
-    name: str,
+    op: Trim, by: KnifeCut, one: Wanted, ring: _Ring, span: _Span, tool: tuple[Blade, float, float], name: str
 ) -> Slot:
     """One stretch, by a ``tool``: a blade, how deep [m] it is behind the face, and the reach [m] of chords
     whose headings it has. Raises ``TandemError`` (trim.corner, trim.joints)."""
@@ -323,12 +317,7 @@ def _harmless(one: Wanted, places: FloatArray) -> BoolArray:
 
 
 def _require_beside(
-    op: Trim,
-    one: Wanted,
-    slot: Slot,
-    along: FloatArray,
-    span: _Span,
-    blade: tuple[Blade, float, Face, float],
+    op: Trim, one: Wanted, slot: Slot, along: FloatArray, span: _Span, blade: tuple[Blade, float, Face, float]
 ) -> None:
     """Whether front and back of the blade stay by the curve where it is bent. Raises ``TandemError``
     (trim.corner)."""

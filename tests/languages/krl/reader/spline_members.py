@@ -23,13 +23,9 @@ def rows(pose, i):
 def knots(rule, steps, times, rng):
     """Knot intervals (N,) by a rule; "any" is anywhere between even and chord, segment by segment."""
     way = np.linalg.norm(steps, axis=1)
-    return {
-        "even": np.ones(len(way)),
-        "chord": way,
-        "centripetal": np.sqrt(way),
-        "time": times,
-        "any": None,
-    }[rule]
+    return {"even": np.ones(len(way)), "chord": way, "centripetal": np.sqrt(way), "time": times, "any": None}[
+        rule
+    ]
 
 
 def intervals(rule, i, steps, times, rng):

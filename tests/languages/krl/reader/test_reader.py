@@ -177,12 +177,7 @@ FAULTS = {
         "syntax",
     ),
     "an answer given": ("main", "tm_answer=0", "tm_answer=1", "syntax"),
-    "a text too long": (
-        "main",
-        "Is the stock in place",
-        "Is it" + " or" * 30,
-        "string_length",
-    ),
+    "a text too long": ("main", "Is the stock in place", "Is it" + " or" * 30, "string_length"),
     "a text with a place for a number": ("main", "Is the stock", "Is %1 the stock", "syntax"),
     "another originator": ("main", 'Modul[] "Tandem"', 'Modul[] "KSS"', "syntax"),
     "a message to be quit": ("main", "Set_KrlMsg(#NOTIFY", "Set_KrlMsg(#QUIT", "syntax"),

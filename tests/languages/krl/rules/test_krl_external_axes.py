@@ -153,10 +153,7 @@ TRACK: dict[str, tuple[str, Callable[[str, str], str]]] = {
     ),
     "another foot": ("base_frames", lambda t, e: first(t, "base_frame={X 0.0000", "base_frame={X 50.0000")),
     "another base": ("work_object", lambda t, e: changed(t, r"(b_world=\{X )[-\d.]+", r"\g<1>77.0000")),
-    "a base of the external kinematic": (
-        "syntax",
-        lambda t, e: first(t, "$BASE=b_world", "BAS(#EX_BASE,2)"),
-    ),
+    "a base of the external kinematic": ("syntax", lambda t, e: first(t, "$BASE=b_world", "BAS(#EX_BASE,2)")),
     "coupled to the external kinematic": (
         "syntax",
         lambda t, e: first(

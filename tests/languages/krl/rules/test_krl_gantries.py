@@ -111,16 +111,10 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
     "metres": ("external_axes", lambda t: cuts(t, "E1 0.7000,E2 0.1000")),
     "no lift": ("external_axes", lambda t: cuts(t, "E1 700.0000")),
     "a third axis": ("external_axes", lambda t: cuts(t, f"{STAND},E3 10.0000")),
-    "the lift before the bridge": (
-        "external_axes",
-        lambda t: first(t, LEG, "E1 -400.0000,E2 100.0000"),
-    ),
+    "the lift before the bridge": ("external_axes", lambda t: first(t, LEG, "E1 -400.0000,E2 100.0000")),
     "both at once": ("external_axes", lambda t: first(t, "PTP x_2_station_1\n", "")),
     "no speed of the lift": ("external_axes", lambda t: changed(t, r"\$VEL_EXTAX\[2\]=\d+\n", "")),
-    "directions swapped": (
-        "syntax",
-        lambda t: looks(t, "-0.000000*$AXIS_ACT.E1-0.500000*$AXIS_ACT.E2"),
-    ),
+    "directions swapped": ("syntax", lambda t: looks(t, "-0.000000*$AXIS_ACT.E1-0.500000*$AXIS_ACT.E2")),
     "axes in the look swapped": (
         "syntax",
         lambda t: re.sub(
@@ -130,10 +124,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
         ),
     ),
     "a sign in the look": ("syntax", lambda t: looks(t, TAKEN.replace("-0.5", "+0.5"))),
-    "one axis in the look": (
-        "syntax",
-        lambda t: re.sub(r"-[\d.]+\*\$AXIS_ACT\.E2", "", t),
-    ),
+    "one axis in the look": ("syntax", lambda t: re.sub(r"-[\d.]+\*\$AXIS_ACT\.E2", "", t)),
     "one axis of X alone": ("declarations", lambda t: looks(t, "-0.500000*$AXIS_ACT.E1")),
     "one axis twice in X": (
         "declarations",

@@ -146,10 +146,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
     ),
     "both at once": ("external_axes", lambda t: first(t, "PTP x_2_station_1\n", "")),
     "the tilt before the turn": ("external_axes", lambda t: first(t, LEG, f"E1 80.0000,E2 {TILT}")),
-    "the legs exchanged": (
-        "external_axes",
-        lambda t: ordered(t, "PTP x_2_station_1", "PTP x_2_station_2"),
-    ),
+    "the legs exchanged": ("external_axes", lambda t: ordered(t, "PTP x_2_station_1", "PTP x_2_station_2")),
     "home by both at once": (
         "external_axes",
         lambda t: first(t, "PTP x_2_station_3\nPTP x_home", "PTP x_home"),

@@ -111,10 +111,7 @@ MUTANTS: dict[str, tuple[str, Callable[[str], str]]] = {
     "it goes back": ("track_along", lambda t: moved(t, lambda k, v: -v)),
     "beyond its range": ("external_axes", lambda t: moved(t, lambda k, v: v + 200.0)),
     "in metres": ("track_along", lambda t: moved(t, lambda k, v: 1e-3 * v)),
-    "another axis": (
-        "external_axes",
-        lambda t: moved(t, lambda k, v: f",E2 {v:.4f}" if k == 20 else v),
-    ),
+    "another axis": ("external_axes", lambda t: moved(t, lambda k, v: f",E2 {v:.4f}" if k == 20 else v)),
     "a second axis": (
         "external_axes",
         lambda t: moved(t, lambda k, v: f",E1 {v:.4f},E2 1.0" if k == 20 else v),

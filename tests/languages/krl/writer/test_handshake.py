@@ -94,7 +94,7 @@ def test_a_wait_that_is_over_its_time_halts_and_waits_again_without_a_change_of_
         assert lines[i - 2 : i] == ["$TIMER[1]=0", "$TIMER_STOP[1]=FALSE"]
         assert re.match(r"IF \$TIMER\[1\]>\d+ THEN", lines[i + 1])
         assert lines[i + 2 : i + 8] == [
-            *("HALT", "$TIMER[1]=0", "ENDIF", "WAIT SEC 0.01", "ENDWHILE", "$TIMER_STOP[1]=TRUE"),
+            *("HALT", "$TIMER[1]=0", "ENDIF", "WAIT SEC 0.01", "ENDWHILE", "$TIMER_STOP[1]=TRUE")
         ]
     limits = [int(found) for found in re.findall(r"\$TIMER\[1\]>(\d+) ", text)]
     assert min(limits) == 30_000 and max(limits) == 3_600_000
@@ -169,11 +169,7 @@ def test_two_arms_of_which_one_works_take_no_handshake():
     """The other arm of the cell takes no part, so it has no program."""
     _, problem = krl_job.two()
     alone = synthetic.operation(
-        problem,
-        {"left": synthetic.sweep(9, start=krl_job.START)},
-        krl_job.LABELS,
-        actions=(),
-        coupled=False,
+        problem, {"left": synthetic.sweep(9, start=krl_job.START)}, krl_job.LABELS, actions=(), coupled=False
     )
     files = programs(synthetic.plan(krl_job.synthetic_homes(alone, problem)), problem)
     assert {name.split("/")[0] for name in files} == {"left"}

@@ -69,8 +69,7 @@ def test_other_letters_are_written_as_a_panel_has_them():
 
 
 @pytest.mark.parametrize(
-    ("text", "word"),
-    [("x" * 81, "of 81 characters"), ('Take "it" out?', '"it"'), ("At 50 %1 of it?", "%1")],
+    ("text", "word"), [("x" * 81, "of 81 characters"), ('Take "it" out?', '"it"'), ("At 50 %1 of it?", "%1")]
 )
 def test_what_no_panel_can_show_is_refused(text, word):
     with pytest.raises(TandemError) as caught:

@@ -150,11 +150,7 @@ def test_of_several_passes_each_has_rows_of_its_own(tmp_path: Path) -> None:
     ("mode", "op", "said"),
     [
         ("spif", {"force_by": {"table": [[1, 200], [-6, -5]]}}, "than or equal to 0, got -5"),
-        (
-            "spif",
-            {"force_by": {"table": [[1, 200], [-6, 700], [-3, 500]]}},
-            "row 3 is at z -3 mm; rows have",
-        ),
+        ("spif", {"force_by": {"table": [[1, 200], [-6, 700], [-3, 500]]}}, "row 3 is at z -3 mm; rows have"),
         ("spif", {"force_by": {"table": [[1, 200], [1, 700]]}}, "row 2 is at z 1 mm"),
         ("spif", {"force_by": {"table": [[1, 0], [-6, 0]]}}, "all forces are 0"),
         ("spif", {"force_by": {"table": [[1, 200]]}}, "2"),

@@ -40,7 +40,7 @@ SPAN = 0.4
 
 
 MADE_BY: dict[str, set[str]] = {
-    "processes.hotwire.plan.claims": {"planner.geometry.arrays", "planner.processes.hotwire.plan.operation"},
+    "processes.hotwire.plan.claims": {"planner.geometry.arrays", "planner.processes.hotwire.plan.operation"}
 }
 OUTSIDE = {
     "planner.catalogue.materials",

@@ -85,10 +85,7 @@ def write(folder: Path, job: str, **changes: object) -> Path:
         cell["controller"] = {"dialect": "krc4"}
     else:
         numbers = range(1, len(arms) + 1)
-        cell["controller"] = {
-            "tasks": [f"T_ROB{n}" for n in numbers],
-            "units": [f"ROB_{n}" for n in numbers],
-        }
+        cell["controller"] = {"tasks": [f"T_ROB{n}" for n in numbers], "units": [f"ROB_{n}" for n in numbers]}
     spin = [{"name": "spin", "arms": arms, "axis": "z", "turn_deg": [-180, 180]}] if job == "abb" else []
     operation = {
         "name": "beads",

@@ -29,10 +29,7 @@ MARGIN = 0.02
 DIGEST = "cd34" * 16
 SIZE = np.array([0.16, 0.08, 0.1])
 OVER = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.012]])
-PLACES = (
-    from_rpy([0.45, 0.0, -0.1], [0.0, 0.0, 0.0]),
-    from_rpy([0.45, 0.0, -0.1], [0.0, 0.0, np.pi / 2.0]),
-)
+PLACES = (from_rpy([0.45, 0.0, -0.1], [0.0, 0.0, 0.0]), from_rpy([0.45, 0.0, -0.1], [0.0, 0.0, np.pi / 2.0]))
 SIGNAL = "doWirePower"
 NAMES = ("top", "back")
 """Of the faces, one an operation."""

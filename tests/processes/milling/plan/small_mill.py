@@ -22,9 +22,7 @@ MILL: dict[str, Any] = {
 }
 CELL: dict[str, Any] = {
     "name": "one",
-    "arms": [
-        {"name": "robot", "robot": "irb4600_40", "tool": MILL, "home_deg": [0, -20, 20, 0, 40, 0]},
-    ],
+    "arms": [{"name": "robot", "robot": "irb4600_40", "tool": MILL, "home_deg": [0, -20, 20, 0, 40, 0]}],
     "controller": {"tasks": ["T_ROB1"], "units": ["ROB_1"]},
 }
 WALL: dict[str, Any] = {

@@ -61,8 +61,7 @@ def fine(tmp_path_factory: pytest.TempPathFactory) -> Job:
 
 @pytest.mark.sampled(every=3)
 @pytest.mark.parametrize(
-    ("cell", "tolerance", "feed"),
-    [(ABB, 0.01, 9000), (ABB, 0.1, 9000), (KUKA, 0.01, 2400)],
+    ("cell", "tolerance", "feed"), [(ABB, 0.01, 9000), (ABB, 0.1, 9000), (KUKA, 0.01, 2400)]
 )
 def test_corners_hold_at_every_phase_of_the_samples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cell: tuple[str, str], tolerance: float, feed: float

@@ -198,10 +198,7 @@ def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
     (stop,) = spoken.stops
     assert [
         dialogue_text.sentence_text(s.sentence, s.figures) for s in spoken.first if s.kind == "asked"
-    ] == [
-        "Go on: spindle at 6000 1/min?",
-        "Block and cutter clamped, nobody in the cell?",
-    ]
+    ] == ["Go on: spindle at 6000 1/min?", "Block and cutter clamped, nobody in the cell?"]
     assert [s.kind for s in stop.steps] == ["off", "wait", "asked", "on", "wait"]
     question = "Go on: line 13 of the file, spindle at 9000 1/min?"
     assert dialogue_text.sentence_text(stop.steps[2].sentence, stop.steps[2].figures) == question

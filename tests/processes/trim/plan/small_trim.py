@@ -74,11 +74,7 @@ MILL: dict[str, Any] = {
 
 def milled(tool: dict[str, Any] | None = None, **by: Any) -> dict[str, Any]:
     """Fields of an operation in which a mill cuts, and its tool."""
-    return {
-        "tool": {**MILL, **(tool or {})},
-        "by": {"kind": "mill", **by},
-        "pierce": {"off_mm": 1.5},
-    }
+    return {"tool": {**MILL, **(tool or {})}, "by": {"kind": "mill", **by}, "pierce": {"off_mm": 1.5}}
 
 
 def data(**fields: Any) -> dict[str, Any]:

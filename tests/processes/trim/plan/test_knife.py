@@ -313,11 +313,7 @@ JOINED = {**RECT, "joints": 2, "joint_mm": 1.2}
 def test_a_kuka_drags_a_knife_along_pieces_and_joints(tmp_path: Path) -> None:
     circle = {"name": "c", "circle": {"at_mm": [0, 0], "diameter_mm": 60}, "drops": "outside"}
     own = KnifeJob(
-        tmp_path,
-        [JOINED, circle],
-        arm=KUKA,
-        controller={"dialect": "krc4"},
-        by={"most_turn_deg": 185},
+        tmp_path, [JOINED, circle], arm=KUKA, controller={"dialect": "krc4"}, by={"most_turn_deg": 185}
     )
     assert own.prove(own.programs, None).issues == ()
     names = list(dict.fromkeys(s.name for s in own.plan.operations[0].targets.segment if s.name))

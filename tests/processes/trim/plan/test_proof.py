@@ -138,11 +138,7 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
         "trim_round",
         moved(lambda p: p * np.array([RADIUS, RADIUS, 1.0])),
     ),
-    "a hole too small": (
-        "verify.trim_cut",
-        "trim_round",
-        moved(lambda p: p * np.array([0.9, 0.9, 1.0])),
-    ),
+    "a hole too small": ("verify.trim_cut", "trim_round", moved(lambda p: p * np.array([0.9, 0.9, 1.0]))),
     "a hole not closed": ("verify.trim_cut", "trim_round", without_moves(slice(-9, None))),
     "a hole not closed by a hair": ("verify.trim_cut", "trim_round", ended((7.286, -1.293))),
     "a micro-joint cut off behind": ("verify.trim_cut", "trim_rim_p1", around),
@@ -164,16 +160,8 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
         MAIN,
         lambda text: text.replace(ON, "", 1).replace("trim_round;", f"trim_round;\r\n    {ON}", 1),
     ),
-    "the arc goes out before the last move": (
-        "verify.trim_arc",
-        "trim_round",
-        before_last_move(OFF),
-    ),
-    "the arc too early": (
-        "verify.trim_arc",
-        MAIN,
-        replaced("trim_round_in;", f"{ON}\n    trim_round_in;"),
-    ),
+    "the arc goes out before the last move": ("verify.trim_arc", "trim_round", before_last_move(OFF)),
+    "the arc too early": ("verify.trim_arc", MAIN, replaced("trim_round_in;", f"{ON}\n    trim_round_in;")),
     "the arc left on": (
         "verify.trim_arc",
         MAIN,
@@ -183,11 +171,7 @@ FAULTS: dict[str, tuple[str, str, Callable[[str], str]]] = {
     "a wait without an end": ("verify.trim_arc", MAIN, replaced(OK, "WaitDI diArcOk,1;")),
     "a wait for no arc": ("verify.trim_arc", MAIN, replaced(OK, "WaitDI diArcOk,0\\MaxTime:=5;")),
     "not pierced through": ("verify.trim_arc", MAIN, replaced("WaitTime 0.5;", "WaitTime 0.05;")),
-    "pierced in the part": (
-        "verify.trim_arc",
-        "trim_round_in",
-        moved(lambda p: p + 6.0 * SHIFT),
-    ),
+    "pierced in the part": ("verify.trim_arc", "trim_round_in", moved(lambda p: p + 6.0 * SHIFT)),
     "an outer curve first": ("verify.trim_order", MAIN, swapped),
     "twice as fast": ("verify.trim_feed", "trim_round", timed(0.5)),
     "it lingers at a place of a long slot": (

@@ -256,10 +256,7 @@ FAULTS: dict[str, tuple[str, Change]] = {
         "verify.trim_arc",
         lambda text: within(THREAD, "no diArcOk", "no input 7")(within(THREAD, "in(0)", "in(7)")(text)),
     ),
-    "a thread that looks at no input": (
-        "verify.syntax",
-        lambda text: no_input(text),
-    ),
+    "a thread that looks at no input": ("verify.syntax", lambda text: no_input(text)),
     "a thread that waits for long": ("verify.syntax", within(THREAD, "arc_lost<=0.2", "arc_lost<=20.0")),
     "a thread that never counts": ("verify.syntax", within(THREAD, "arc_stood=arc_stood+0.01\r\n", "")),
     "a torch that may stand for a minute": ("verify.trim_arc", longer(60.0)),

@@ -411,7 +411,7 @@ def tree_diagram(tree: FeatureTree) -> str:
     parts = [
         f'<svg class="plot" viewBox="0 0 {DRAWING_WIDTH:.0f} {tall + 2 * top:.0f}" role="img" '
         f'aria-label="feature tree"><line class="axis" x1="{left}" x2="{DRAWING_WIDTH - 10}" '
-        f'y1="{down(tree.level):.1f}" y2="{down(tree.level):.1f}"/>',
+        f'y1="{down(tree.level):.1f}" y2="{down(tree.level):.1f}"/>'
     ]
     for level in sorted({round(value / MM, 1) for value in levels}):
         y = down(level * MM) + 4

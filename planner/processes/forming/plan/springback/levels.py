@@ -34,11 +34,7 @@ SHARES: Final = np.array([0.0, 0.1, 0.25, 0.46, 0.7, 1.0])
 
 
 def file_data(
-    name: str,
-    digest: str,
-    work: Work,
-    laid: Sequence[tuple[Pass, ToolPath]],
-    found: Sequence[PassSpringback],
+    name: str, digest: str, work: Work, laid: Sequence[tuple[Pass, ToolPath]], found: Sequence[PassSpringback]
 ) -> dict[str, Any]:
     """The file of a problem by its ``name`` and ``digest``; passes with their levels."""
     passes = []

@@ -170,12 +170,7 @@ def insert(contact: ContactPath, radius: float, side: int, row: IntArray, share:
 
 
 def insert_at(
-    contact: ContactPath,
-    row: IntArray,
-    share: FloatArray,
-    normal: FloatArray,
-    radius: float,
-    side: int = 1,
+    contact: ContactPath, row: IntArray, share: FloatArray, normal: FloatArray, radius: float, side: int = 1
 ) -> ContactPath:
     """As ``insert``, with the ``normal`` (M, 3) of the face at the new targets."""
     centre = mixed(contact.centre[row - 1], contact.centre[row], share)

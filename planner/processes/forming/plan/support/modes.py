@@ -383,21 +383,14 @@ def _lean(operation: Forming) -> float:
 def _mirrored(one: Pass) -> Pass:
     """A pass mirrored in z; its faces run the same way round in plan, so their normals are up again."""
     return dataclasses.replace(
-        one,
-        side=-one.side,
-        vertices=one.vertices * MIRROR,
-        start=-one.start,
-        end=-one.end,
+        one, side=-one.side, vertices=one.vertices * MIRROR, start=-one.start, end=-one.end
     )
 
 
 def _turned_over(contact: ContactPath) -> ContactPath:
     """A path mirrored in z with its normals still up."""
     return dataclasses.replace(
-        contact,
-        point=contact.point * MIRROR,
-        centre=contact.centre * MIRROR,
-        normal=contact.normal * -MIRROR,
+        contact, point=contact.point * MIRROR, centre=contact.centre * MIRROR, normal=contact.normal * -MIRROR
     )
 
 

@@ -95,13 +95,7 @@ def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, 
 
 
 def _off_directions(
-    line: FloatArray,
-    way: Track,
-    knots: IntArray,
-    face: Face,
-    found: Nearest,
-    side: int,
-    upright: bool,
+    line: FloatArray, way: Track, knots: IntArray, face: Face, found: Nearest, side: int, upright: bool
 ) -> FloatArray:
     """How far (K,) [rad] directions ``line`` (K, 3) are off the face's normal, or, where they may stand
     ``upright``, off all directions between that and the vertical. Of all places that the ball touches, one

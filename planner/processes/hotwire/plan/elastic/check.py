@@ -249,11 +249,7 @@ def check_shape(op: ElasticWire, cut: Cut) -> Iterator[Issue]:
 
 
 def misfit(
-    op: ElasticWire,
-    name: str,
-    sections: SectionSet,
-    residual: FloatArray,
-    factor: float = 1.0,
+    op: ElasticWire, name: str, sections: SectionSet, residual: FloatArray, factor: float = 1.0
 ) -> Iterator[Issue]:
     """``wire.shape`` if residuals (K, m) [m] of the sections are beyond ``factor`` times the
     tolerance."""
@@ -442,10 +438,7 @@ def _with(op: ElasticWire, key: str, value: float) -> ElasticWire:
 
 
 def _faults(
-    changed: ElasticWire,
-    op: ElasticWire,
-    passed: list[Passed],
-    curve_of: Callable[[ElasticWire], KerfCurve],
+    changed: ElasticWire, op: ElasticWire, passed: list[Passed], curve_of: Callable[[ElasticWire], KerfCurve]
 ) -> bool:
     """Whether another power or feed does not do at the speeds as they are, or is none."""
     faster = changed.feed_mm_s / op.feed_mm_s

@@ -97,9 +97,7 @@ def from_states(planes: FloatArray, state: FloatArray, length: float, gravity: F
 def join(parts: list[Wires]) -> Wires:
     """Wires one after another; all of one length."""
     return dataclasses.replace(
-        parts[0],
-        frame=np.concatenate([w.frame for w in parts]),
-        bend=np.concatenate([w.bend for w in parts]),
+        parts[0], frame=np.concatenate([w.frame for w in parts]), bend=np.concatenate([w.bend for w in parts])
     )
 
 

@@ -178,12 +178,7 @@ def _depth(lines: Lines, pose: FloatArray, box: FloatArray, margin: float) -> Fl
 
 
 def check_holder(
-    op: Straight,
-    setup: Setup,
-    part: Part | None,
-    cuts: list[Cut],
-    lines: Lines,
-    segment: tuple[Segment, ...],
+    op: Straight, setup: Setup, part: Part | None, cuts: list[Cut], lines: Lines, segment: tuple[Segment, ...]
 ) -> Iterator[Issue]:
     """No wire that cuts comes within the margin of the plate that holds the block, and what is cut free is
     what the plate holds."""

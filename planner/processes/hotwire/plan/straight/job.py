@@ -235,15 +235,7 @@ def _cuts_table(cuts: list[Cut]) -> dict[str, Any]:
     return {
         "kind": "table",
         "title": "Cuts in order",
-        "columns": (
-            "",
-            "surface",
-            "kind",
-            "targets",
-            "planned kerf [mm]",
-            "twist [deg]",
-            "slit [mm]",
-        ),
+        "columns": ("", "surface", "kind", "targets", "planned kerf [mm]", "twist [deg]", "slit [mm]"),
         "rows": rows,
     }
 

@@ -222,10 +222,7 @@ def centre_of(start: Point, end: Point, radius: float, normal: int, clockwise: b
         )
     height = math.sqrt(max(size * size - 0.25 * chord * chord, 0.0))
     side = height if (radius > 0.0) != clockwise else -height
-    return (
-        0.5 * (start[a] + end[a]) - side * up / chord,
-        0.5 * (start[b] + end[b]) + side * across / chord,
-    )
+    return (0.5 * (start[a] + end[a]) - side * up / chord, 0.5 * (start[b] + end[b]) + side * across / chord)
 
 
 def sweep_of(start: Point, end: Point, centre: tuple[float, float], normal: int, clockwise: bool) -> float:

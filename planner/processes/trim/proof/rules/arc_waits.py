@@ -4,10 +4,7 @@ from collections.abc import Collection, Iterator
 
 from planner.issues import Issue
 from planner.processes.trim.claims import TrimsSheet
-from planner.processes.trim.proof.torch_motion import (
-    TrimWork,
-    longest_stay,
-)
+from planner.processes.trim.proof.torch_motion import TrimWork, longest_stay
 from planner.programs.stages import TaskText
 from planner.programs.steps import GuardStep, MoveStep, SignalStep, Step, WaitStep
 from planner.programs.text import segment_of_name

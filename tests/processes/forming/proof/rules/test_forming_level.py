@@ -140,11 +140,7 @@ def tasks(outcome: Outcome) -> tuple[str, ...]:
 
 def broken(outcome: Outcome, texts: Mapping[str, str]) -> set[str]:
     found = context_of(outcome, texts)
-    rules: tuple[Callable[..., Any], ...] = (
-        forming_level.level,
-        tool.gouge,
-        two_tools.gap,
-    )
+    rules: tuple[Callable[..., Any], ...] = (forming_level.level, tool.gouge, two_tools.gap)
     return {issue.code for rule in rules for issue in rule(found).issues}
 
 

@@ -196,10 +196,7 @@ def test_the_planner_refuses_such_a_slit_itself(tmp_path: Path, monkeypatch: pyt
 
 LEADS = [
     (plate(), {"cuts": [{"surface": "hole", "lead": [1, 0, 0]}, {"surface": "rim"}]}),
-    (
-        [blocks.prism("strip", STRIP)],
-        {"cuts": [{"surface": "strip", "lead": [-1, 0, 0.5]}]},
-    ),
+    ([blocks.prism("strip", STRIP)], {"cuts": [{"surface": "strip", "lead": [-1, 0, 0.5]}]}),
 ]
 
 
@@ -218,9 +215,7 @@ def test_a_lead_that_the_planner_ignores(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, ruled: list[Any], more: dict[str, Any]
 ) -> None:
     wanted = job.wanted_surfaces
-    free = [
-        lambda one: dataclasses.replace(one, cut=one.cut.model_copy(update={"lead": "auto"})),
-    ]
+    free = [lambda one: dataclasses.replace(one, cut=one.cut.model_copy(update={"lead": "auto"}))]
     unchecked.setattr(job, "wanted_surfaces", lambda *given: [free[0](one) for one in wanted(*given)])
     assert "verify.slit" in codes(planned(problem(tmp_path, ruled, **more)))
 

@@ -12,10 +12,7 @@ from planner import pipeline
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "suffix", "place"),
-    [
-        ("gcode", ".src", r"\nSLIN \{X (-?[\d.]+),"),
-        ("gcode/abb.yaml", ".mod", r"MoveL \[\[(-?[\d.]+),"),
-    ],
+    [("gcode", ".src", r"\nSLIN \{X (-?[\d.]+),"), ("gcode/abb.yaml", ".mod", r"MoveL \[\[(-?[\d.]+),")],
 )
 def test_a_bundled_job_is_proven_and_a_changed_path_is_not(name: str, suffix: str, place: str) -> None:
     problem = pipeline.load(name)

@@ -35,11 +35,7 @@ def program(seed: int, size: int, regular: float) -> str:
         words += [axis + number(own) for axis in "XYZ" if own.random() < 0.5]
         if own.random() < 0.4:
             angle, tilt = own.uniform(-3, 3), own.uniform(0, 1.5)
-            vector = (
-                math.sin(tilt) * math.cos(angle),
-                math.sin(tilt) * math.sin(angle),
-                math.cos(tilt),
-            )
+            vector = (math.sin(tilt) * math.cos(angle), math.sin(tilt) * math.sin(angle), math.cos(tilt))
             words += [f"{word}{value:.6f}" for word, value in zip("IJK", vector, strict=True)]
         if own.random() < 0.1:
             words.append(f"F{own.uniform(1, 9000):.2f}")

@@ -83,10 +83,7 @@ def test_angles_by_g91_add_up(tmp_path: Path) -> None:
     name=st.sampled_from(["head_ca", "head_ab", "table_bc"]),
 )
 def test_between_pieces_the_axis_is_on_the_great_circle(
-    start: tuple[float, float, float],
-    change: tuple[float, float, float],
-    tolerance: float,
-    name: Any,
+    start: tuple[float, float, float], change: tuple[float, float, float], tolerance: float, name: Any
 ) -> None:
     """Evenly turning angles against the shortest turn between the ends of each piece, by SciPy."""
     own = convention(name, "")
