@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 
 STAGING = ".tandem-"
 """How the names of unfinished folders begin."""
@@ -226,7 +226,7 @@ def deferred_sigint() -> Iterator[None]:
 
 
 def _refuse(folder: Path, what: str) -> TandemError:
-    return TandemError(Issue("output.folder", f"output folder {folder}: {what}", file=str(folder)))
+    return refusal("output.folder", f"output folder {folder}: {what}", file=str(folder))
 
 
 REPORTED_PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")

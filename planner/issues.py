@@ -6,9 +6,9 @@ given (exit code 2) from what cannot be planned (exit code 3).
 """
 
 import dataclasses
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from enum import StrEnum
-from typing import Any, Literal
+from typing import Any, Final, Literal, ParamSpec
 
 from planner.issue_codes import row
 
@@ -108,6 +108,20 @@ class TandemError(Exception):
         self.issues: tuple[Issue, ...] = (issues,) if isinstance(issues, Issue) else tuple(issues)
         self.partial = partial
         super().__init__("\n".join(str(issue) for issue in self.issues))
+
+
+_Fields = ParamSpec("_Fields")
+
+
+def _error_of(issue: Callable[_Fields, Issue]) -> Callable[_Fields, TandemError]:
+    def error(*fields: _Fields.args, **named: _Fields.kwargs) -> TandemError:
+        return TandemError(issue(*fields, **named))
+
+    return error
+
+
+refusal: Final = _error_of(Issue)
+"""The error of one issue, to be raised. It takes the fields of an :class:`Issue`."""
 
 
 def has_errors(issues: Iterable[Issue]) -> bool:

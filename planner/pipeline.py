@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from planner import spec
 from planner.files import RELEASE, RESULT, claim_folder, deferred_sigint, is_file, write_folder, write_whole
-from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
+from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged, refusal
 from planner.problem import Cell, Problem
 from planner.processes import registry as processes
 from planner.reading import problem as problem_file
@@ -185,17 +185,17 @@ def save(problem: Problem | spec.Problem, path: str | Path, overwrite: bool = Fa
     except (OSError, ValueError) as error:
         name = getattr(error, "filename", None)
         what = f"{name or error}: what the problem names cannot be read; load or build it again"
-        raise TandemError(Issue("problem.missing_file", what, file=name)) from error
+        raise refusal("problem.missing_file", what, file=name) from error
     try:
         if is_file(target) and not overwrite and target.read_bytes() != files["problem.yaml"]:
             what = f"{target}: there is another file; give another name, or overwrite=True"
-            raise TandemError(Issue("output.folder", what, file=str(target)))
+            raise refusal("output.folder", what, file=str(target))
         for name, content in reversed(files.items()):  # what the problem names before the problem
             write_whole(target if name == "problem.yaml" else target.parent / name, content)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         what = f"{target} cannot be written ({reason}); choose a folder of your own"
-        raise TandemError(Issue("output.folder", what, file=str(target))) from error
+        raise refusal("output.folder", what, file=str(target)) from error
     return target
 
 
@@ -466,8 +466,8 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
         if p.is_file() and p != root / RELEASE and (not alone or p.suffix.lower() in endings)
     }
     if not texts:
-        raise TandemError(
-            Issue("verify.no_programs", f"{root}: no programs there; plan the problem first", file=str(root))
+        raise refusal(
+            "verify.no_programs", f"{root}: no programs there; plan the problem first", file=str(root)
         )
     return texts
 
@@ -487,7 +487,7 @@ def _text(path: Path) -> str:
         what = f"cannot be read ({error})"
     except UnicodeDecodeError as error:
         what = f"is not text in UTF-8 ({error})"
-    raise TandemError(Issue("verify.files", f"{path} {what}; take it away or plan again", file=str(path)))
+    raise refusal("verify.files", f"{path} {what}; take it away or plan again", file=str(path))
 
 
 def load_result(folder: str | Path) -> Problem:
@@ -536,10 +536,8 @@ def _with_margins(
 
     final = write.programs(made, problem, verdict.text(proof))
     if not same_program(programs, final):
-        raise TandemError(
-            Issue(
-                "internal.error", "the header changed more than comments of the proven programs; report this"
-            )
+        raise refusal(
+            "internal.error", "the header changed more than comments of the proven programs; report this"
         )
     return final
 

@@ -28,7 +28,7 @@ from planner.claims import claim
 from planner.claims.segments import Segment
 from planner.files import write_whole
 from planner.geometry.arrays import FloatArray, IntArray
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.runtime import plugins
 from planner.runtime.plugins import Process
 from planner.targets import Targets
@@ -350,14 +350,12 @@ def _bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise TandemError(
-            Issue(
-                "plan.missing_file",
-                f"{path.name} cannot be read: {error.strerror}; "
-                f"a plan is {DATA_FILE} and {ARRAYS_FILE} in one folder",
-                file=str(path),
-                hint="give the folder that `tandem plan -o` wrote",
-            )
+        raise refusal(
+            "plan.missing_file",
+            f"{path.name} cannot be read: {error.strerror}; "
+            f"a plan is {DATA_FILE} and {ARRAYS_FILE} in one folder",
+            file=str(path),
+            hint="give the folder that `tandem plan -o` wrote",
         ) from error
 
 
@@ -376,21 +374,19 @@ def _header(path: Path) -> dict[str, Any]:
 
 
 def _damaged(path: Path, why: str) -> TandemError:
-    return TandemError(
-        Issue("plan.damaged", f"{path.name} is damaged: {why}", file=str(path), hint="plan the problem again")
+    return refusal(
+        "plan.damaged", f"{path.name} is damaged: {why}", file=str(path), hint="plan the problem again"
     )
 
 
 def _foreign(path: Path, message: str) -> TandemError:
-    return TandemError(Issue("plan.schema", message, file=str(path), hint="plan the problem again"))
+    return refusal("plan.schema", message, file=str(path), hint="plan the problem again")
 
 
 def _not_saveable(key: str, what: str) -> TandemError:
-    return TandemError(
-        Issue(
-            "plan.not_saveable",
-            f"the plan's value {key[1:] or 'itself'} is {what}; a plan holds arrays, tuples, lists, "
-            "mappings, text, numbers and Tandem's own values",
-            field=key[1:],
-        )
+    return refusal(
+        "plan.not_saveable",
+        f"the plan's value {key[1:] or 'itself'} is {what}; a plan holds arrays, tuples, lists, "
+        "mappings, text, numbers and Tandem's own values",
+        field=key[1:],
     )

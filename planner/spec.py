@@ -27,7 +27,7 @@ from planner.catalogue.robots import bundled, data_dir
 from planner.files import is_file
 from planner.geometry.arrays import to_rpy
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.processes import registry
 from planner.processes.forming.plan import operation as forming
 from planner.processes.hotwire.plan import operation as hotwire
@@ -114,7 +114,7 @@ class Section(Mapping[str, Any]):
         try:
             strict_yaml.changed_field(words, path, values.plain(value, path), Path.cwd())
         except ValueError as error:
-            raise TandemError(Issue("problem.field", f"{type(self).__name__}: {error}", field=path)) from None
+            raise refusal("problem.field", f"{type(self).__name__}: {error}", field=path) from None
         return type(self)(**words)
 
 
@@ -249,7 +249,7 @@ class Cell(Section, model=cell.CellFile):
         if not is_file(found):
             known = ", ".join(sorted(one.stem for one in (data_dir("problems") / "cells").glob("*.yaml")))
             what = f"{path}: no such file, and no cell that is built in; these are {known}"
-            raise TandemError(Issue("problem.missing_file", what, file=str(path)))
+            raise refusal("problem.missing_file", what, file=str(path))
         document = strict_yaml.read(found)
         return cls(**problem_file.resolved({"cell": document.path.name}, document.path.parent)["cell"])
 
@@ -512,12 +512,10 @@ class Problem(Section, model=problem_file.ProblemFile, tandem=1):
         if len(text) > most:
             what = f"Problem: {len(text) / 1e6:.1f} MB as a file, {most / 1e6:.0f} MB are read"
             hint = "give points as a mesh or a file of their own"
-            raise TandemError(Issue("problem.too_large", f"{what}; {hint}"))
+            raise refusal("problem.too_large", f"{what}; {hint}")
         data, _ = strict_yaml.parse(text, "Problem")
         if data != self._words:
-            raise TandemError(
-                Issue("problem.not_yaml", "Problem: a file would not say the same; report this")
-            )
+            raise refusal("problem.not_yaml", "Problem: a file would not say the same; report this")
         return _document(data)
 
 

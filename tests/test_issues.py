@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from planner.issue_codes import CODES
-from planner.issues import Issue, Severity, TandemError, aggregate, has_errors
+from planner.issues import Issue, Severity, TandemError, aggregate, has_errors, refusal
 
 HERE = Path(__file__).parent
 
@@ -66,6 +66,14 @@ def test_the_error_carries_issues_and_what_was_reached() -> None:
     assert [issue.code for issue in error.issues] == ["problem.field"]
     assert error.partial == [1, 2]
     assert "stock: got 1" in str(error)
+
+
+def test_a_refusal_is_the_error_of_one_issue() -> None:
+    error = refusal("problem.field", "stock: got 1", Severity.ERROR, field="stock", value=1.0)
+    assert isinstance(error, TandemError)
+    assert error.issues == (Issue("problem.field", "stock: got 1", field="stock", value=1.0),)
+    with pytest.raises(KeyError, match=r"no\.such\.code"):
+        refusal("no.such.code", "message")
 
 
 def test_every_code_is_named_by_a_test() -> None:

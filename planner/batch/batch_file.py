@@ -20,7 +20,7 @@ from planner import pipeline
 from planner.batch.job import PROBLEM
 from planner.catalogue.robots import bundled
 from planner.files import is_file
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Problem
 from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
@@ -179,7 +179,7 @@ def read_batch(path: Path) -> list[Variant]:
     rows = [(line, row) for line in table for row in spec.rows()]
     if len(rows) > MAX_JOBS:
         what = f"vary: {len(rows)} jobs, at most {MAX_JOBS} are taken; vary less, or in several batch files"
-        raise TandemError(Issue("batch.field", what, file=str(path), line=document.line(("vary",))))
+        raise refusal("batch.field", what, file=str(path), line=document.line(("vary",)))
     width = max(3, len(str(len(rows))))
     out = []
     for number, (line, row) in enumerate(rows, 1):
@@ -199,7 +199,7 @@ def _base(spec: BatchFile, document: Document) -> Document:
             return strict_yaml.read(file)
     what = f"problem: no file {beside} and no bundled problem of that name; check the path"
     line = document.line(("problem",))
-    raise TandemError(Issue("batch.field", what, file=str(document.path), line=line, field="problem"))
+    raise refusal("batch.field", what, file=str(document.path), line=line, field="problem")
 
 
 def _table(path: Path, document: Document) -> list[dict[str, Any]]:
@@ -235,7 +235,7 @@ def _table(path: Path, document: Document) -> list[dict[str, Any]]:
 
 def _bad_table(path: Path, what: str, document: Document) -> TandemError:
     line = document.line(("csv",))
-    return TandemError(Issue("batch.csv", f"{path} {what}", file=str(document.path), line=line, field="csv"))
+    return refusal("batch.csv", f"{path} {what}", file=str(document.path), line=line, field="csv")
 
 
 def _scalar(cell: str) -> Any:

@@ -37,7 +37,7 @@ from planner.batch.job import (
     cancelled,
 )
 from planner.batch.workers import MODULE, Workers
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 CONNECT_S: Final = 20.0
 """Time [s] in which the scheduler of the cluster must answer."""
@@ -74,10 +74,10 @@ class Cluster:
     ) -> None:
         if importlib.util.find_spec("distributed") is None:
             what = "a cluster needs Dask, which is not installed"
-            raise TandemError(Issue("batch.install", what, hint=f"install it: {INSTALL}"))
+            raise refusal("batch.install", what, hint=f"install it: {INSTALL}")
         if address != "local" and not address.startswith(("tcp://", "tls://")):
             what = f"--cluster: got {address!r}; give tcp://HOST:PORT of a scheduler, or local"
-            raise TandemError(Issue("batch.field", what, field="--cluster"))
+            raise refusal("batch.field", what, field="--cluster")
         self._memory_mb, self._module = memory_mb, module
         self._sent: dict[str, _Sent] = {}
         self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
@@ -118,7 +118,7 @@ class Cluster:
         except (OSError, TimeoutError, ValueError) as error:
             what = f"cluster {address}: cannot be reached, or has no workers ({error})"
             hint = "start `dask scheduler` and `dask worker`, and give the scheduler's address"
-            raise TandemError(Issue("batch.cluster", what, hint=hint)) from error
+            raise refusal("batch.cluster", what, hint=hint) from error
         client.subscribe_topic(self._topic, lambda event: self._messages.put(("event", event)))
         return client
 

@@ -22,7 +22,7 @@ from planner import plans
 from planner.batch.job import Done, Record
 from planner.batch.rows import RECORDS, Row, figures
 from planner.geometry.units import MM
-from planner.issues import Issue, Severity, TandemError, accepted, aggregate
+from planner.issues import Issue, Severity, TandemError, accepted, aggregate, refusal
 from planner.plans import OperationPlan, Plan
 from planner.proof.verdict import RuleResult
 from planner.report import markup
@@ -59,9 +59,7 @@ def _proof(path: Path) -> tuple[bool | None, tuple[RuleResult, ...], tuple[Issue
         return bool(data["ok"]), rules, tuple(Issue.from_dict(issue) for issue in data["issues"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         what = f"{path.name} is damaged: {type(error).__name__}: {error}"
-        raise TandemError(
-            Issue("plan.damaged", what, file=str(path), hint="plan the problem again")
-        ) from error
+        raise refusal("plan.damaged", what, file=str(path), hint="plan the problem again") from error
 
 
 EQUAL_WITHIN = 1e-9

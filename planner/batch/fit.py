@@ -14,7 +14,7 @@ from planner.batch.job import safe_names
 from planner.batch.rows import Item, Row
 from planner.batch.run import SUFFIXES
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.problem import Problem, Settings
 from planner.reading import strict_yaml
 from planner.reading.problem import resolved
@@ -38,7 +38,7 @@ def items(problem: Problem, folder: Path) -> list[Item]:
     files = sorted(path for path in _files(folder) if "arms" in _data(path))
     if not files:
         what = f"{folder}: got no cell in this folder, allowed are YAML files with arms"
-        raise TandemError(Issue("batch.field", what, field="--cells", hint="name a folder of cell files"))
+        raise refusal("batch.field", what, field="--cells", hint="name a folder of cell files")
     names = safe_names([OWN, *(path.stem for path in files)])
     read = [functools.partial(_in_cell, problem, path) for path in files]
     first = Item(names[0], f"the cell of {problem.path}", lambda: problem)
@@ -68,7 +68,7 @@ def _in_cell(problem: Problem, path: Path) -> Problem:
     theirs = [arm.get("name") for arm in cell.get("arms") or () if isinstance(arm, dict)]
     if len(theirs) < len(own):
         what = f"got a cell of {len(theirs)} arm{'s' * (len(theirs) != 1)}, {problem.name} uses {len(own)}"
-        raise TandemError(Issue("batch.field", what, file=str(path), hint="try it in a cell of more arms"))
+        raise refusal("batch.field", what, file=str(path), hint="try it in a cell of more arms")
     names = dict(zip(theirs, [*own, *(f"{own[0]}_{k}" for k in range(len(own), len(theirs)))], strict=True))
     source = {**problem.source, "cell": _renamed(cell, names)}
     return build(strict_yaml.Document(path, source, None, b"", file=False), registry.readers())

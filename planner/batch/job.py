@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
 from planner.files import RESULT, deferred_sigint, is_disk_full, is_file, staging, versions, write_whole
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.runtime.version import __version__
 
 State = Literal[
@@ -215,7 +215,7 @@ class Place:
             if foreign or folder.is_symlink() or not folder.is_dir():
                 got = f"holds {', '.join(foreign[:3])}" if foreign else "is no folder"
                 what = f"output folder {folder}: it {got}, and a result would replace it; choose another"
-                raise TandemError(Issue("output.folder", what, file=str(folder)))
+                raise refusal("output.folder", what, file=str(folder))
         return Place(folder, record)
 
     def prepare(self, files: Mapping[str, bytes]) -> tuple[Path, Path]:

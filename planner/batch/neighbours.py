@@ -14,7 +14,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 
 if TYPE_CHECKING:
     from planner.batch.rows import Item
@@ -45,7 +45,7 @@ def like_neighbours(items: Sequence[Item]) -> list[Item]:
     if not panels:
         what = "--like neighbour: none of the problems is a panel beside whose folder an element.json lies"
         hint = "name the panels/ folder that tandem element wrote, or the folder of an earlier batch"
-        raise TandemError(Issue("batch.field", what, field="--like", hint=hint))
+        raise refusal("batch.field", what, field="--like", hint=hint)
     like = _forest(panels, known)
     return [dataclasses.replace(item, like=like.get(item.name)) for item in items]
 

@@ -35,7 +35,7 @@ from planner.batch.rows import RECORDS, Item, Row
 from planner.batch.workers import Workers
 from planner.catalogue.robots import bundled
 from planner.files import FILE_KEYS, STAGING, claim_folder, is_file
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.plans import ARRAYS_FILE, DATA_FILE
 from planner.problem import Problem
 from planner.reading import problem as problem_file
@@ -71,13 +71,13 @@ def _items(path: Path, leave_out: Path) -> list[Item]:
         items = [item for file in files for item in _in_file(file, path) if _file_kind(file) is not None]
         if not items:
             what = f"{path}: no problem file in this folder; a problem file is YAML with 'tandem: 1'"
-            raise TandemError(Issue("problem.missing_file", what, file=str(path)))
+            raise refusal("problem.missing_file", what, file=str(path))
         return items
     for file in (path, bundled(path), bundled(path / PROBLEM)):
         if is_file(file):
             return _in_file(file, file.parent.parent if file.name == PROBLEM else file.parent)
     what = f"{path}: no such file, folder or bundled problem; check the name"
-    raise TandemError(Issue("problem.missing_file", what, file=str(path)))
+    raise refusal("problem.missing_file", what, file=str(path))
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -307,7 +307,7 @@ def claimed_folder(out: Path) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             what = f"output folder {out}: another batch is writing to it; wait for it, or choose another"
-            raise TandemError(Issue("batch.in_use", what, file=str(out))) from error
+            raise refusal("batch.in_use", what, file=str(out)) from error
         claim_folder(out, ())  # what the last holder of the lock left
         claim_folder(records, ())
         for stale in records.glob(".*.json.*"):  # half-written records of killed batches

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from planner.batch.job import Done, Event, Finished, Found, Job, Place, Progress, Record, State, cancelled
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.runtime.second_process import module_path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -358,7 +358,7 @@ class Workers:
         if self._dead_starts >= STARTS:
             self._dead_starts = 0
             what = f"{STARTS} worker processes in a row did not start: the last one {how}"
-            raise TandemError(Issue("batch.worker", what, hint="see to memory and the installation"))
+            raise refusal("batch.worker", what, hint="see to memory and the installation")
 
     def _watch(self) -> None:
         if time.monotonic() - self._watched < WATCH:

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, refusal
 
 _MATERIALS_FILE: Final = Path(__file__).resolve().parents[1] / "data" / "materials.yaml"
 """Foams and wires that are built in."""
@@ -146,7 +146,7 @@ def wire_material(name: str) -> WireMaterial:
 def _named(name: str, known: dict[str, _Kind], what: str, code: str, hint: str) -> _Kind:
     if name not in known:
         text = f"{what}: got {name!r}, allowed {', '.join(sorted(known))}"
-        raise TandemError(Issue(code, text, hint=hint))
+        raise refusal(code, text, hint=hint)
     return known[name]
 
 

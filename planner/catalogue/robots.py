@@ -15,7 +15,7 @@ import yaml
 from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, inverse
 from planner.geometry.units import DEG
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 
 Family = str
 """Whose controller an arm has, which is what its programs are written for: "ABB", "KUKA", "UR", "ROS",
@@ -459,7 +459,7 @@ def robot(name: str) -> RobotData:
     table = _table()
     if name not in table:
         message = f"robot {name!r} is not in the catalogue, which has {', '.join(table)}"
-        raise TandemError(Issue("problem.unknown_robot", message, hint="choose one of these names"))
+        raise refusal("problem.unknown_robot", message, hint="choose one of these names")
     return table[name]
 
 
@@ -482,8 +482,8 @@ def _missing(path: Path) -> TandemError:
 
 
 def _error(message: str) -> TandemError:
-    return TandemError(
-        Issue("catalogue.missing_data", message, hint="install tandem-planner again, or restore the checkout")
+    return refusal(
+        "catalogue.missing_data", message, hint="install tandem-planner again, or restore the checkout"
     )
 
 

@@ -22,7 +22,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Column, Table
 
 from planner.files import FILE_KEYS, is_file
-from planner.issues import Issue, TandemError, accepted
+from planner.issues import Issue, TandemError, accepted, refusal
 
 if TYPE_CHECKING:
     from planner.batch.compare import JobPair, Pair, Plans
@@ -134,7 +134,7 @@ def _like(request: Batch, items: list[Item]) -> tuple[list[Item], Path | None]:
     if len(new) == len(items):
         what = f"--like {folder}: it holds no plan of any of these problems"
         hint = f"name the folder of an earlier batch of them, or say {NEIGHBOUR}"
-        raise TandemError(Issue("batch.field", what, field="--like", hint=hint))
+        raise refusal("batch.field", what, field="--like", hint=hint)
     if new:
         err.print(f"{len(new)} of {len(items)} have no plan in {folder}: {', '.join(new[:5])}", markup=False)
     return items, folder

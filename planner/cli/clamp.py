@@ -12,7 +12,7 @@ from rich.table import Table
 from planner.cli.console import plain_out as out
 from planner.cli.console import require_suffix, write_output
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 
 if TYPE_CHECKING:
     from planner.problem import Problem
@@ -56,7 +56,7 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
     sheet = problem.stock.sheet
     if sheet is None:
         what = f"{problem.name}: has a block and no sheet; give the problem whose clamp was pressed"
-        raise TandemError(Issue("forming.no_sheet", what, field="problem"))
+        raise refusal("forming.no_sheet", what, field="problem")
     require_suffix(request.output, "a page is .html", (".html",))
     thickness = float(problem.stock.size[2])
     tolerance = 0.05 * thickness if request.thickness_tol_mm is None else request.thickness_tol_mm * MM
@@ -65,7 +65,7 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
     _require("dial_mm", request.dial_mm, 1e-4, 1.0, "mm")
     if not shapely.Polygon(sheet.opening).buffer(-clamp_calibration.COLUMN).contains(shapely.Point(place)):
         got = f"place_mm: got {request.place_mm[0]:g}, {request.place_mm[1]:g}, which is not in the opening"
-        raise TandemError(Issue("forming.plate_test", f"{got}; say where it was pressed", field="place_mm"))
+        raise refusal("forming.plate_test", f"{got}; say where it was pressed", field="place_mm")
     readings = clamp_calibration.read_readings(request.readings, request.dial_mm * MM)
     plate = clamp_calibration.Plate(
         sheet.opening, place, sheet.metal.young, sheet.metal.poisson, thickness, tolerance
@@ -74,7 +74,7 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
         response = clamp_calibration.respond(plate, float(readings.force.max()), float(readings.force.min()))
     except (LimitLoadError, ValueError) as error:
         what = f"{request.readings.name}: the sheet of {problem.name} does not bear these forces ({error})"
-        raise TandemError(Issue("forming.plate_test", what, file=str(request.readings))) from error
+        raise refusal("forming.plate_test", what, file=str(request.readings)) from error
     found = clamp_calibration.calibrate(plate, readings, response)
     _print(found, plate, request.thickness_tol_mm is None)
     if request.output is not None:
@@ -85,7 +85,7 @@ def run_calibrate_clamp(request: CalibrateClamp, problem: Problem) -> tuple[Issu
 def _require(name: str, value: float, least: float, most: float, unit: str) -> None:
     if not least <= value <= most:
         what = f"{name}: got {value:g} {unit}, allowed {least:g} to {most:g}; correct it"
-        raise TandemError(Issue("forming.plate_test", what, field=name))
+        raise refusal("forming.plate_test", what, field=name)
 
 
 def _print(found: Calibration, plate: Plate, assumed: bool) -> None:

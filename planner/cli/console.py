@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from planner.files import write_whole
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, refusal
 
 if TYPE_CHECKING:
     from planner.plans import Plan
@@ -48,7 +48,7 @@ def require_suffix(path: Path | None, allowed: str, suffixes: Sequence[str], fie
     """
     if path is not None and path.suffix.lower() not in suffixes:
         what = f"{path.name}: {allowed}; name it so"
-        raise TandemError(Issue("output.folder", what, field=field))
+        raise refusal("output.folder", what, field=field)
 
 
 def write_file(path: Path, content: str | bytes) -> None:
@@ -57,7 +57,7 @@ def write_file(path: Path, content: str | bytes) -> None:
         write_whole(path, content)
     except OSError as error:
         what = f"{path}: cannot be written ({error.strerror}); choose another place"
-        raise TandemError(Issue("output.folder", what, field="output")) from error
+        raise refusal("output.folder", what, field="output") from error
 
 
 def write_output(path: Path, text: str, done: str = "written to") -> None:

@@ -22,7 +22,7 @@ from planner.cli.console import plain_out as out
 from planner.cli.console import require_suffix, write_output
 from planner.files import csv_text
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
@@ -89,11 +89,11 @@ def run_springback(request: Springback, problem: Problem) -> tuple[Issue, ...]:
     ):
         if value is not None and value < least:
             what = f"got {value}, allowed {least} at least"
-            raise TandemError(Issue("forming.springback_mode", what, field=name, hint="correct it"))
+            raise refusal("forming.springback_mode", what, field=name, hint="correct it")
     if request.write is not None and (request.triangles or LEAST_WRITTEN) < LEAST_WRITTEN:
         what = f"got {request.triangles}, allowed {LEAST_WRITTEN} at least with --write: the proof "
         what += "works some of a springback file out on finer meshes and takes 3 percent"
-        raise TandemError(Issue("forming.springback_mode", what, field="triangles", hint="leave it out"))
+        raise refusal("forming.springback_mode", what, field="triangles", hint="leave it out")
     require_suffix(request.write, "a springback file is .json", (".json",), "write")
     job = forming_job(problem, request.operation)
     work = job.planned
@@ -147,7 +147,7 @@ def _write_shifts(
                 f"pass {way.name}: a shift of {most:.2f} mm is wanted, most_mm allows {limits.most_mm:g} mm"
             )
             hint = "hold the sheet nearer to the part, or allow more: springback: {most_mm: ...}"
-            raise TandemError(Issue("forming.compensation", what, field="springback.most_mm", hint=hint))
+            raise refusal("forming.compensation", what, field="springback.most_mm", hint=hint)
     identity = compensation_file.belongs_to(job.planned, job.setup.stock, job.part)
     text = compensation_file.text(problem.name, job.planned, identity, found, ways, limits.slope)
     write_output(path, text, "springback file written to")
@@ -178,7 +178,7 @@ def forming_job(problem: Problem, name: str | None) -> FormingJob:
     if not chosen:
         have = ", ".join(job.operation.name for job in jobs) or "none"
         what = f"{problem.name}: got operation {name or 'of forming'}, forming operations are: {have}"
-        raise TandemError(Issue("forming.no_sheet", what, field="operation"))
+        raise refusal("forming.no_sheet", what, field="operation")
     return chosen[0]
 
 
@@ -323,7 +323,7 @@ def run_control(request: ControlRequest, problem: Problem) -> tuple[Issue, ...]:
     operation = forming_job(problem, request.operation).operation
     if len(operation.arms) != 2:
         what = f"{operation.name}: mode {operation.mode} has one arm, force control wants a support beside it"
-        raise TandemError(Issue("control.machine", what, field="operation", hint="take a mode of two arms"))
+        raise refusal("control.machine", what, field="operation", hint="take a mode of two arms")
     feed = operation.feed_mm_s * MM
     found = machine.tried(file, feed)
     _print_control(file, found, feed)

@@ -14,7 +14,7 @@ import tyro
 
 from planner.cli.console import out
 from planner.files import RELEASE, write_whole
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, refusal
 
 if TYPE_CHECKING:
     from planner.proof.verdict import Proof
@@ -93,7 +93,7 @@ def connect(where: str, access: Access) -> Rws | Store:
         return Ftp(where, login, access.timeout, trust)
     if scheme not in ("", "file"):
         what = f"--controller: got {where}, allowed: http://, https://, ftp://, ftps://, or a folder"
-        raise TandemError(Issue("upload.address", what, field="controller"))
+        raise refusal("upload.address", what, field="controller")
     return Share(Path(where.removeprefix("file://")))
 
 
@@ -102,7 +102,7 @@ def _password(user: str, where: str) -> str:
         return os.environ[PASSWORD]
     if not sys.stdin.isatty():
         what = f"no password: set {PASSWORD}, or run at a terminal, which asks for it"
-        raise TandemError(Issue("upload.login", what))
+        raise refusal("upload.login", what)
     return getpass.getpass(f"Password of {user} at {where}: ")
 
 
@@ -148,7 +148,7 @@ def run_download(request: Download) -> tuple[tuple[Issue, ...], Proof]:
     result = proven.read(request.result, problem)
     if request.output.exists() and (not request.output.is_dir() or any(request.output.iterdir())):
         what = f"-o {request.output}: is not an empty folder; name a new one"
-        raise TandemError(Issue("output.folder", what, field="output"))
+        raise refusal("output.folder", what, field="output")
     _, files = proven.chosen(result, request.arm)
     with closing(connect(request.controller, request)) as link:
         name = request.there or download.folder(link, proven.folder_name(problem))

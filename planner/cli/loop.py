@@ -20,7 +20,7 @@ from planner.cli.console import plain_out as out
 from planner.cli.console import require_suffix, write_output
 from planner.files import csv_text
 from planner.geometry.units import MM
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
@@ -110,7 +110,7 @@ def run_next_loop(request: NextLoop) -> tuple[Issue, ...]:
     number = len(measured.force)
     if number >= len(plan.levels):
         what = f"got forces of all {number} levels of {plan.name}: there is no next one"
-        raise TandemError(Issue("forming.loop_forces", what, field="level", hint="leave out the last level"))
+        raise refusal("forming.loop_forces", what, field="level", hint="leave out the last level")
     if number == 0 and request.before_mm:
         raise TandemError(_out_of_range("before_mm", request.before_mm, "0 for level 0: none is before it"))
     alone = request.problem is not None and request.output is None  # a level without the file
@@ -162,7 +162,7 @@ def _plan(folder: Path, options: LawOptions) -> LoopPlan:
     if plan.digest != digest:
         what = f"{file} has curves of the problem {plan.digest[:12]}, {folder} is planned for {digest[:12]}"
         hint = f"write them for this one: tandem springback {folder}/problem/problem.yaml --curves {file}"
-        raise TandemError(Issue("forming.loop_curves", what, file=str(file), field="digest", hint=hint))
+        raise refusal("forming.loop_curves", what, file=str(file), field="digest", hint=hint)
     return plan
 
 
@@ -194,7 +194,7 @@ def _deeper(folder: Path, plan: LoopPlan, number: int) -> tuple[str, FloatArray 
         f"{folder} goes deeper by a springback file, whose loops in {plan.name} are not those of the curves"
     )
     hint = f"write curves again: tandem springback {folder}/problem/problem.yaml --curves FILE"
-    raise TandemError(Issue("forming.loop_curves", what, field="springback", hint=hint))
+    raise refusal("forming.loop_curves", what, field="springback", hint=hint)
 
 
 def _law(options: LawOptions) -> Law:
@@ -249,7 +249,7 @@ def _kappa(plan: LoopPlan, measured: Any) -> float:
                     f"says {model[k] / MM:.3f} mm under {force[k]:.0f} N"
                 )
                 hint = "give how far the sheet came back, in mm; or leave the cell empty"
-                raise TandemError(Issue("forming.loop_forces", what, field="springback_mm", hint=hint))
+                raise refusal("forming.loop_forces", what, field="springback_mm", hint=hint)
         lifts.append(lift[some])
         models.append(model[some])
     return float(next_loop.kappa(np.concatenate(lifts), np.concatenate(models)))

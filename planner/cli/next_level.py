@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from planner.cli.console import require_suffix
 from planner.files import is_file
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 
 if TYPE_CHECKING:
     from planner.loops.loop_plan import LoopPlan
@@ -52,7 +52,7 @@ def write_level(
     if number > 0 and before_mm is None:
         what = f"got no shift at which level {number - 1} ended"
         hint = "give --before-mm: the last one of its shifts, or 0 where it had none"
-        raise TandemError(Issue("forming.loop_law", what, field="before_mm", hint=hint))
+        raise refusal("forming.loop_law", what, field="before_mm", hint=hint)
     stated: dict[str, Any] = {
         "number": number,
         "pass_name": plan.name,
@@ -108,7 +108,7 @@ def require_free(path: Path, problem: Problem, section: str) -> None:
             what = f"is another file, and no problem with a {section}"
     if what:
         hint = "give it a name of its own"
-        raise TandemError(Issue("output.folder", f"{path} {what}", field="problem", hint=hint))
+        raise refusal("output.folder", f"{path} {what}", field="problem", hint=hint)
 
 
 def _formed(problem: Problem, name: str) -> int:
@@ -118,7 +118,7 @@ def _formed(problem: Problem, name: str) -> int:
     if len(found) != 1 or len(problem.operations) != 1:
         what = f"got a problem of {len(problem.operations)} operations, a level of {name} is formed alone in "
         hint = "plan the forming of the sheet as a problem of its own"
-        raise TandemError(Issue("forming.loop_curves", what + "one", field="operations", hint=hint))
+        raise refusal("forming.loop_curves", what + "one", field="operations", hint=hint)
     return found[0]
 
 

@@ -22,7 +22,7 @@ from rich.tree import Tree
 from planner.cli.console import plain_out as out
 from planner.cli.console import require_suffix, write_output
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 if TYPE_CHECKING:
     from planner.catalogue.materials import Foam
@@ -188,7 +188,7 @@ def _fit(request: Fit) -> None:
 def _metres(name: str, value_mm: float) -> float:
     if not (math.isfinite(value_mm) and value_mm > 0.0):
         text = f"got {value_mm:g}, allowed a number above 0"
-        raise TandemError(Issue("kerf.input", text, field=name, hint="correct it"))
+        raise refusal("kerf.input", text, field=name, hint="correct it")
     return value_mm * MM
 
 
@@ -239,7 +239,7 @@ def run_align(request: Align) -> tuple[Issue, ...]:
 
     if not 0.0 < request.tolerance_mm <= 1000.0:
         what = f"tolerance: got {request.tolerance_mm:g} mm, allowed above 0, up to 1000 mm"
-        raise TandemError(Issue("align.file", what, hint="correct it"))
+        raise refusal("align.file", what, hint="correct it")
     document = strict_yaml.read(request.cell)
     cell = read_cell(document)
     index = probing.moved_arm(cell, request.arm, str(request.cell))
@@ -262,7 +262,7 @@ def run_align(request: Align) -> tuple[Issue, ...]:
         write_whole(request.output, text)
     except (OSError, ValueError) as error:
         what = f"{request.output}: cannot be written ({getattr(error, 'strerror', None) or error})"
-        raise TandemError(Issue("output.folder", what, hint="choose a place of your own")) from error
+        raise refusal("output.folder", what, hint="choose a place of your own") from error
     xyz, rpy = probing.rounded(base)
     shift = inverse(moved.base) @ base
     out.print(f"base of {moved.name}: xyz_mm {xyz}, rpy_deg {rpy}")

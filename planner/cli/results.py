@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from planner.cli.console import write_file
 from planner.files import write_whole
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.pipeline import FIRST_TARGETS, planned_result, read_programs, verify
 from planner.problem import Problem
 
@@ -93,10 +93,10 @@ def export(
     kinds = (*cad_export.KINDS, GCODE)
     if output.suffix.lower() not in kinds:
         what = f"-o: got {output.name}, allowed are files that end in {' or '.join(kinds)}"
-        raise TandemError(Issue("problem.field", what, field="output"))
+        raise refusal("problem.field", what, field="output")
     if (output.suffix.lower() == GCODE) != (machine is not None):
         what = f"--machine: got {machine}; {GCODE} files need one, other files have none"
-        raise TandemError(Issue("problem.field", what, field="machine"))
+        raise refusal("problem.field", what, field="machine")
     problem, made = planned_result(folder)
     if machine is not None:
         write_file(output, _milled(Path(folder), problem, made, machine, reverse).encode("ascii"))
@@ -119,16 +119,16 @@ def _milled(folder: Path, problem: Problem, made: Plan, machine: str, reverse: s
 
     if machine not in state.KINEMATICS:
         what = f"--machine: got {machine}, allowed are {', '.join(state.KINEMATICS)}"
-        raise TandemError(Issue("problem.field", what, field="machine"))
+        raise refusal("problem.field", what, field="machine")
     letters = state.KINEMATICS[machine].letters
     if not set(reverse) <= set(letters) or len(set(reverse)) != len(reverse):
         what = f"--reverse: got {reverse[:20]!r}, allowed are letters of {letters}, each once"
-        raise TandemError(Issue("problem.field", what, field="reverse"))
+        raise refusal("problem.field", what, field="reverse")
     if made.digest != problem.digest:  # the proof is of the programs, and G-code is written of the plan
         what = (
             f"plan.json is of problem {made.digest[:12]}, the folder holds {problem.digest[:12]}; plan again"
         )
-        raise TandemError(Issue("upload.unproven", f"{folder}: {what}", file=str(folder)))
+        raise refusal("upload.unproven", f"{folder}: {what}", file=str(folder))
     proven.read(folder, problem)
     each = zip(problem.operations, made.operations, strict=True)
     ways = [inverse_time.way_of(own, done.targets, done.values, done.time) for own, done in each]

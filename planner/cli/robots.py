@@ -15,7 +15,7 @@ from rich.table import Table
 
 from planner.cli.console import plain_out as out
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -103,7 +103,7 @@ def run_add(request: Add) -> None:
     path = request.output or Path(f"{name}.yaml")
     if name in robot_names():
         what = f"{name!r} is a robot that is built in; give --name another one"
-        raise TandemError(Issue("problem.duplicate_name", what, field="name"))
+        raise refusal("problem.duplicate_name", what, field="name")
     _require_own(path)
     chain = own_chain(text, request.base, request.tip)
     lines = _stated(request, name, chain, path.parent)
@@ -120,7 +120,7 @@ def run_add(request: Add) -> None:
         write_whole(path, _written(lines, robot, request))
     except (OSError, ValueError) as error:
         what = f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})"
-        raise TandemError(Issue("output.folder", what, hint="choose a place of your own")) from error
+        raise refusal("output.folder", what, hint="choose a place of your own") from error
     out.print(f"written to {path}, for an arm of a cell in {path.parent.resolve()}; drawn in {picture}")
 
 
@@ -128,10 +128,10 @@ def _require_own(path: Path) -> None:
     """See that a file is new, or lines of an arm, which may be written anew: somebody's cell may not."""
     if path.suffix not in (".yaml", ".yml"):
         what = f"{path}: the lines are YAML; give a name that ends with .yaml"
-        raise TandemError(Issue("output.folder", what, field="output"))
+        raise refusal("output.folder", what, field="output")
     if path.exists() and not (path.is_file() and "\nrobot:\n" in path.read_text("utf-8", "replace")):
         what = f"{path} is there, and is no file of tandem robots add; choose another name"
-        raise TandemError(Issue("output.folder", what, field="output"))
+        raise refusal("output.folder", what, field="output")
 
 
 def _name(text: str) -> str:

@@ -19,7 +19,7 @@ from planner.cli.console import plain_out as out
 from planner.cli.console import require_suffix, write_output
 from planner.files import csv_text
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 
 if TYPE_CHECKING:
     from planner.geometry.arrays import FloatArray
@@ -115,7 +115,7 @@ def run_adjust(request: Adjust) -> tuple[Issue, ...]:
     require_suffix(request.page, "a file is .html", (".html",), "page")
     if not 0.1 <= request.gain <= 1.2:
         what = f"got {request.gain:g}, allowed 0.1 to 1.2"
-        raise TandemError(Issue("forming.loop_law", what, field="gain", hint="correct it"))
+        raise refusal("forming.loop_law", what, field="gain", hint="correct it")
     problem = pipeline.load_result(request.folder)
     job = forming_job(problem, request.operation)
     top = request.options.face == "top"

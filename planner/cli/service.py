@@ -14,7 +14,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 
 if TYPE_CHECKING:
     from planner.service.models import Database
@@ -224,7 +224,7 @@ def serve(asked: Serve) -> None:
     more = {"workers": asked.workers, "lease_s": asked.lease_s}
     for name, value in (dataclasses.asdict(limits) | more).items():
         if value is not None and not value > 0:
-            raise TandemError(Issue("service.start", f"{name}: got {value:g}, give more than 0", field=name))
+            raise refusal("service.start", f"{name}: got {value:g}, give more than 0", field=name)
     server.serve(
         Options(
             data=asked.data,
@@ -252,7 +252,7 @@ def _oidc(asked: Serve, issuer: str) -> Oidc:
     except ImportError as error:
         hint = "install it: pip install 'tandem-planner[service,oidc]'"
         what = f"logging in by a provider needs {error.name or error}, which is not installed"
-        raise TandemError(Issue("service.install", what, hint=hint)) from error
+        raise refusal("service.install", what, hint=hint) from error
     given = (asked.oidc_client, asked.oidc_secret, asked.oidc_role, asked.oidc_claim, asked.oidc_team)
     return oidc.read(issuer, *given, asked.oidc_scope)
 
@@ -288,9 +288,7 @@ def _drafts(asked: Drafts, database: Database) -> None:
 
     kept = Kept(database, Limits())
     if asked.delete and asked.to is not None:
-        raise TandemError(
-            Issue("service.token", "to: it is either --to or --delete; leave one out", field="to")
-        )
+        raise refusal("service.token", "to: it is either --to or --delete; leave one out", field="to")
     if asked.delete or asked.to is not None:
         count = kept.pass_on(asked.name, asked.to)
         done = "deleted" if asked.to is None else f"passed to {asked.to}"
@@ -351,7 +349,7 @@ def _installed() -> Iterator[None]:
         yield
     except ImportError as error:
         what = f"the service needs {error.name or error}"
-        raise TandemError(Issue("service.install", what, hint=INSTALL)) from error
+        raise refusal("service.install", what, hint=INSTALL) from error
 
 
 def _opened(asked: _Store, make: bool = False) -> Database:
@@ -363,10 +361,10 @@ def _opened(asked: _Store, make: bool = False) -> Database:
             asked.data.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError as error:
             message = f"data folder {asked.data}: cannot be written ({error.strerror}); give another one"
-            raise TandemError(Issue("service.start", message, field="data")) from error
+            raise refusal("service.start", message, field="data") from error
     elif asked.database is None and not (asked.data / "tandem.db").is_file():
         what = f"data folder {asked.data}: there is no store in it; give --data as the service has it"
-        raise TandemError(Issue("service.start", what, field="data"))
+        raise refusal("service.start", what, field="data")
     return Database(asked.database or default_url(asked.data))
 
 

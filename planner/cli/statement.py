@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from planner.files import RESULT, SIGNATURE, STATEMENT, versions, write_whole
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -215,7 +215,7 @@ def _require_cryptography() -> None:
         import cryptography  # noqa: F401
     except ImportError as error:
         what = f"signatures need the package cryptography: {SIGN_INSTALL}"
-        raise TandemError(Issue("sign.extra", what, hint=SIGN_INSTALL)) from error
+        raise refusal("sign.extra", what, hint=SIGN_INSTALL) from error
 
 
 def _read(path: Path) -> bytes:
@@ -230,7 +230,7 @@ def _read(path: Path) -> bytes:
 
 def _bad_key(path: Path, what: str) -> TandemError:
     hint = "make an Ed25519 key: ssh-keygen -t ed25519 -f KEY; sign with KEY, check with KEY.pub"
-    return TandemError(Issue("sign.key", f"key file {path} {what}", file=str(path), hint=hint))
+    return refusal("sign.key", f"key file {path} {what}", file=str(path), hint=hint)
 
 
 FORMAT: Final = "tandem-statement"
@@ -248,7 +248,7 @@ def sign_result(folder: Path, problem: Problem, stored: str | None, proof: Proof
     if not proof.ok or stored != problem.digest:
         why = "the programs are not proven" if not proof.ok else "its copy of the problem is another one"
         what = f"{folder} is not signed, for {why}"
-        raise TandemError(Issue("sign.unproven", what, file=str(folder), hint="plan the problem again"))
+        raise refusal("sign.unproven", what, file=str(folder), hint="plan the problem again")
     content = text(folder, problem, proof)
     write_whole(folder / STATEMENT, content)
     write_whole(folder / SIGNATURE, sign_message(content, key))

@@ -31,7 +31,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.guillotine import Division, divide
 from planner.geometry.mesh import TriangleMesh, vertex_normals
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 FITS: Final = 1e-6
 """A panel that is larger than its block by no more than this [m] fits."""
@@ -228,9 +228,7 @@ def divide_elastic(made: Search, judge: Judge | None = None, held: bool = False)
         first = divide_elastic(made)
         return first if judge is None else tuple(dataclasses.replace(p, refused=judge(p)) for p in first)
     what = f"after {_MOST_ROUNDS} divisions some panels still fail in the planes of their own blocks"
-    raise TandemError(
-        Issue("element.tolerance", what, field="panels.elastic", hint="allow more, or take more cells")
-    )
+    raise refusal("element.tolerance", what, field="panels.elastic", hint="allow more, or take more cells")
 
 
 _Place = tuple[int, int, int, int]

@@ -26,7 +26,7 @@ from planner.geometry.planar_panels import LEAST_COUNT, MOST_COUNT, Shape
 from planner.geometry.ruled_approximation import Patch
 from planner.geometry.ruled_wall import RuledWall, ruled_wall
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.processes.hotwire.plan import wire as hot_wires
 from planner.processes.hotwire.plan.operation import Straight
 from planner.reading import strict_yaml
@@ -528,7 +528,7 @@ def _wall(spec: RuledFile, folder: Path) -> tuple[RuledWall, tuple[Issue, ...]]:
 
 
 def _no_wall(what: str) -> TandemError:
-    return TandemError(Issue("element.surface", what, field="surface.ruled"))
+    return refusal("element.surface", what, field="surface.ruled")
 
 
 def _rules(spec: ElementFile, elastic: ElasticFile, wires: tuple[WireFile, ...]) -> Rules:
@@ -559,15 +559,13 @@ def _not_tiny(mesh: TriangleMesh, wires: tuple[WireFile, ...]) -> None:
     if shortest <= SLACK_WIRE * longest:
         return
     text = " x ".join(f"{side / MM:.0f}" for side in size)
-    raise TandemError(
-        Issue(
-            "element.surface",
-            f"the surface is {text} mm, and the shortest wire has {shortest / MM:.0f} mm: more than "
-            f"{SLACK_WIRE:g} times as much as the element is long",
-            field="surface",
-            **measurement(longest / MM, shortest / SLACK_WIRE / MM, "mm"),
-            hint="state the unit that the file was made in, or give a shorter wire",
-        )
+    raise refusal(
+        "element.surface",
+        f"the surface is {text} mm, and the shortest wire has {shortest / MM:.0f} mm: more than "
+        f"{SLACK_WIRE:g} times as much as the element is long",
+        field="surface",
+        **measurement(longest / MM, shortest / SLACK_WIRE / MM, "mm"),
+        hint="state the unit that the file was made in, or give a shorter wire",
     )
 
 
@@ -608,7 +606,7 @@ def _saw(cut: CutBlocksFile, kerf_mm: float, folder: Path) -> SawTemplate:
             whole = {**data, "operations": [{**one, **slot}]}
             return SawTemplate(WhenFile(), name, whole, bow, margin, clear)
         wrong, hint = "mounts no bow on the first of its arms", "give that arm a tool of the kind bow"
-    raise TandemError(Issue("element.jobs", f"{name} {wrong}", file=file, field="cut_blocks", hint=hint))
+    raise refusal("element.jobs", f"{name} {wrong}", file=file, field="cut_blocks", hint=hint)
 
 
 def _mounted(operation: Mapping[str, Any], cell: object) -> Bow | None:
@@ -646,13 +644,9 @@ def _rest(
         brought += [f"stock.{key}" for key in of_stock if key in stock]
     if brought:
         what = f"{name} has {', '.join(brought)}, which each {who} brings itself"
-        raise TandemError(
-            Issue("element.jobs", what, file=file, field=field, hint="take that out of the template")
-        )
+        raise refusal("element.jobs", what, file=file, field=field, hint="take that out of the template")
     missing = [key for key in ("cell", "operations") if key not in given]
     if missing or not isinstance(stock, dict) or not isinstance(given.get("operations"), list):
         what = f"{name} is no template: it must have a cell, a list of operations, and a mapping as stock"
-        raise TandemError(
-            Issue("element.jobs", what, file=file, field=field, hint="write the rest of a problem file")
-        )
+        raise refusal("element.jobs", what, file=file, field=field, hint="write the rest of a problem file")
     return name, file, resolved(given, folder)

@@ -42,7 +42,7 @@ from planner.geometry.planar_panels import (
     planar_shell,
 )
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 LOW: Final = 0.4618
 """Without a stated ground, panels on the rim that reach down to its lowest corner within this share of their
@@ -145,8 +145,8 @@ def _refuse_crowds(element: HexagonElement) -> None:
     hint = f"give least_width_mm: {max(side, 0.0):g} at most, or see to the unit of the surface"
     if most >= LEAST_COUNT:
         hint = f"give count: {most} at most, or " + hint.removeprefix("give ")
-    raise TandemError(
-        Issue("element.shape", what, field="panels.hexagons.count", value=wanted.count, limit=most, hint=hint)
+    raise refusal(
+        "element.shape", what, field="panels.hexagons.count", value=wanted.count, limit=most, hint=hint
     )
 
 
@@ -168,14 +168,12 @@ def _shell(element: HexagonElement) -> PanelShell:
         hint = "give another count, or a surface that is wider there"
         if wanted.shape == "quad":
             hint += ", or shape: hexagon"
-        raise TandemError(
-            Issue("element.surface", str(error), field="panels.hexagons.count", hint=hint)
-        ) from error
+        raise refusal("element.surface", str(error), field="panels.hexagons.count", hint=hint) from error
     if ground is not None and not any(panel.level.any() for panel in made.panels):
         low = float(element.surface.vertices[:, 2].min()) / MM
         what = f"no rim stands at the height of ground_mm, {wanted.ground_mm:g} mm"
         hint = f"the lowest place of the surface is at {low:.3f} mm; give that, or leave ground_mm out"
-        raise TandemError(Issue("element.surface", what, field="panels.hexagons.ground_mm", hint=hint))
+        raise refusal("element.surface", what, field="panels.hexagons.ground_mm", hint=hint)
     return made
 
 

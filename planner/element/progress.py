@@ -25,7 +25,7 @@ from planner.element.stock_list import LeftOver
 from planner.files import is_file, no_file
 from planner.geometry.nesting import Block, Box, fits
 from planner.geometry.units import MM
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, refusal
 
 State = Literal["cut", "glued", "broken"]
 """What a panel can be; one that is in no row is open."""
@@ -70,7 +70,7 @@ def read(out: Path) -> Progress:
     path = out / "element.json"
     if not is_file(path):
         hint = "tandem element FILE -o OUT writes it"
-        raise TandemError(Issue("element.mark", f"{path}: {no_file(path)}", file=str(path), hint=hint))
+        raise refusal("element.mark", f"{path}: {no_file(path)}", file=str(path), hint=hint)
     data = json.loads(path.read_text("utf-8"))
     path = out / FILE
     rows: dict[str, tuple[State, str]] = {}
@@ -80,7 +80,7 @@ def read(out: Path) -> Progress:
             what = f"got {row}, allowed are the columns {', '.join(_COLUMNS)} and the states "
             what += ", ".join(get_args(State))
             hint = "correct that line, or take it out: its panel counts as open then"
-            raise TandemError(Issue("element.mark", what, file=str(path), line=line, hint=hint))
+            raise refusal("element.mark", what, file=str(path), line=line, hint=hint)
         state: State = row["state"]  # type: ignore[assignment]
         rows[row["id"]] = state, row["block_mm"]
     return Progress(data, rows)
@@ -110,14 +110,14 @@ def marked(found: Progress, name: str, state: State | Literal["open"]) -> Progre
             f"got panel {name!r}, {found.data['name']} has {len(known)} panels from {known[0]} to {known[-1]}"
         )
         what += f" and {len(jobs)} jobs of raw blocks" if jobs else ""
-        raise TandemError(Issue("element.mark", what, field="panel", hint="see the ids in element.html"))
+        raise refusal("element.mark", what, field="panel", hint="see the ids in element.html")
     if job is not None and "panels" in job:
         rows.pop(name, None)  # it cut the block apart, as the element was divided before
         meant = [one for one in job["panels"] if (found.state(one) or _OPEN) in _OF_JOB[state]]
     elif job is not None and state not in ("cut", _OPEN):
         what = f"got {state} for {name}, a job that cuts block {job['block']} apart; allowed are cut and open"
         hint = "mark the panels that are to come out of it"
-        raise TandemError(Issue("element.mark", what, field="state", hint=hint))
+        raise refusal("element.mark", what, field="state", hint=hint)
     else:
         meant = [name]
     for one in meant:

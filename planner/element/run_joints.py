@@ -22,7 +22,7 @@ from planner.geometry.mesh import TriangleMesh, vertex_normals
 from planner.geometry.mesh_files import read_mesh
 from planner.geometry.rulings import boundaries
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.processes.hotwire.claims import CutsSurface, FollowsRulings
 
 FACES: Final = ("front", "back")
@@ -151,7 +151,7 @@ def other_panel(path: Path, name: str, what: str) -> TandemError:
     """The simulated part at ``path`` is not that of the panel ``name``, as ``what`` of it shows."""
     said = f"{what} in {path} is not that of panel {name}"
     hint = "plan the panels of this folder again: tandem batch OUT/panels -o RUN"
-    return TandemError(Issue("element.run", said, file=str(path), hint=hint))
+    return refusal("element.run", said, file=str(path), hint=hint)
 
 
 def part_objects(path: Path) -> dict[str, CutPart]:

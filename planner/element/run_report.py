@@ -23,7 +23,7 @@ from planner.element.side_joints import CutSide, cut_sides, side_joint
 from planner.element.wall_joints import cut_surfaces, wall_joint
 from planner.files import is_file
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 
 MOST_AT_95: Final = 0.2e-3
 """Step and gap [m] that 95 % of the points of a joint must keep, where the element states no other."""
@@ -244,7 +244,7 @@ def read_run(out: Path, run: Path) -> ElementRun:
             f"verdicts are in {run / 'summary.csv'}; divide another element again: tandem element "
             "FILE -o OUT; panels that stay need no new plan"
         )
-        raise TandemError(Issue("element.run", what, file=str(out / "element.json"), hint=hint))
+        raise refusal("element.run", what, file=str(out / "element.json"), hint=hint)
     with (run / "summary.csv").open(newline="", encoding="utf-8") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     thickness = float(data.get("thickness_mm", 0.0)) * MM
@@ -303,7 +303,7 @@ def _motion(result: Path) -> dict[str, float]:
 
 
 def _missing(path: Path, who: str) -> TandemError:
-    return TandemError(Issue("element.run", f"{path}: there is no such file; {who}", file=str(path)))
+    return refusal("element.run", f"{path}: there is no such file; {who}", file=str(path))
 
 
 def _panel(

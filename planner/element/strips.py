@@ -25,7 +25,7 @@ from planner.geometry.ruled_wall import CHORD, RuledWall
 from planner.geometry.rulings import tessellate
 from planner.geometry.surface_lines import Lines, mitred, smooth_lines
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 ACROSS: Final[tuple[Across, ...]] = ("u", "v")
 """The parameters in whose direction strips may follow one another."""
@@ -258,14 +258,8 @@ def _refuse_folds(element: StripsElement, found: Divided) -> None:
     )
     hint = f"give thickness_mm: {max(1.0, np.floor(0.9 * most / MM)):g}, or turn the surface over (flip)"
     limit, field = most / MM, "thickness_mm"
-    raise TandemError(
-        Issue(
-            "element.shape",
-            what,
-            field=field,
-            **measurement(element.file.thickness_mm, limit, "mm"),
-            hint=hint,
-        )
+    raise refusal(
+        "element.shape", what, field=field, **measurement(element.file.thickness_mm, limit, "mm"), hint=hint
     )
 
 

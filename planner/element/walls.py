@@ -9,7 +9,7 @@ from planner.element.element_file import PuzzleFile, WallElement
 from planner.element.puzzle import divide_puzzle, largest_lobe, puzzle_pieces, reach
 from planner.element.wall_panels import Piece, Room, WallPanel, flat_box, in_block, numbered, outline, rooms
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 
 def divide_wall(element: WallElement) -> tuple[WallPanel, ...]:
@@ -53,9 +53,7 @@ def _refuse_lobes(element: WallElement, wanted: PuzzleFile, cells: tuple[int, in
     )
     hint = f"give lobe_mm: {np.floor(most * 10.0) / 10.0:g}, or fewer cells"
     field = "panels.puzzle.lobe_mm"
-    raise TandemError(
-        Issue("element.shape", what, field=field, value=wanted.lobe_mm, limit=most, unit="mm", hint=hint)
-    )
+    raise refusal("element.shape", what, field=field, value=wanted.lobe_mm, limit=most, unit="mm", hint=hint)
 
 
 def _too_large(element: WallElement) -> Issue:

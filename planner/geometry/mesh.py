@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, distinct_rows, dots
 from planner.geometry.units import measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,7 +120,7 @@ def offset(
         what = f"moved by {most:.2f} mm the face folds over itself at {int(turned.sum())} of {len(turned)} "
         what += f"facets, the first at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; its radius must be larger "
         what += "than that, so use a thinner part, a smaller kerf or a smoother face"
-        raise TandemError(Issue("part.offset", what, field="part", **measurement(most, None, "mm")))
+        raise refusal("part.offset", what, field="part", **measurement(most, None, "mm"))
     return moved
 
 

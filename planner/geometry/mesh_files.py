@@ -19,7 +19,7 @@ from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, IntArray, Mesh
 from planner.geometry.mesh import TriangleMesh, merge
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 
 MAX_MESH_BYTES: Final = 100_000_000
 """Mesh files larger than this [bytes] are refused unread."""
@@ -333,7 +333,7 @@ def _unread(path: Path, error: Exception) -> TandemError:
 
 
 def _refuse(code: str, path: Path, what: str) -> TandemError:
-    return TandemError(Issue(code, f"{path.name}: {what}", file=str(path)))
+    return refusal(code, f"{path.name}: {what}", file=str(path))
 
 
 def objects(text: str) -> dict[str, Mesh]:

@@ -28,7 +28,7 @@ from planner.geometry.nurbs import NurbsSurface
 from planner.geometry.placing import backwards
 from planner.geometry.rulings import boundaries, outward, points, resample, tessellate
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 
 _SAME_PARAMETER = 1e-5
 """Parameters that differ by less are one place."""
@@ -191,7 +191,7 @@ def _inner(mesh: TriangleMesh, ring: IntArray, flat: FloatArray) -> FloatArray:
 
 
 def _refuse(field: str, what: str) -> TandemError:
-    return TandemError(Issue("part.patch", what, field=field))
+    return refusal("part.patch", what, field=field)
 
 
 Across = Literal["u", "v"]
@@ -245,13 +245,11 @@ def cut_strips(patch: Patch, across: Across, tolerance: float, count: int | None
                 f"{MOST_STRIPS} strips are {found.deviation.max() / MM:.3g} mm off the surface, "
                 f"{tolerance / MM:g} mm are allowed; allow more, or cut a smaller region"
             )
-            raise TandemError(
-                Issue(
-                    "part.strips",
-                    what,
-                    field=field,
-                    **measurement(float(found.deviation.max() / MM), tolerance / MM, "mm"),
-                )
+            raise refusal(
+                "part.strips",
+                what,
+                field=field,
+                **measurement(float(found.deviation.max() / MM), tolerance / MM, "mm"),
             )
         low, number = number, min(MOST_STRIPS, 2 * number)
     while number - low > 1:

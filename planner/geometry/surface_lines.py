@@ -17,7 +17,7 @@ from planner.geometry.curves import arc_length
 from planner.geometry.mesh_queries import Nearness
 from planner.geometry.ruled_approximation import Across, Patch, parameter_grid
 from planner.geometry.ruled_wall import CHORD, RuledWall
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 
 LINE_STEP: Final = 0.005
 """Distance [m] of the lines between which strips may lie."""
@@ -64,11 +64,11 @@ def smooth_lines(patch: Patch, across: Across, tolerance: float, step: float, ne
     for ends in (rough[[0, -1]], rough[:, [0, -1]].swapaxes(0, 1)):
         if lengths(ends[1] - ends[0]).max() < CLOSED:
             what = "the surface is closed: two of its sides are one; give it in two halves"
-            raise TandemError(Issue("element.surface", what, field="surface"))
+            raise refusal("element.surface", what, field="surface")
     for axis in (0, 1):
         if lengths(np.diff(rough, axis=axis)).sum(axis=axis).min() < CLOSED:
             what = "the surface comes to a point: one of its sides has no length; cut it off before that"
-            raise TandemError(Issue("element.surface", what, field="surface"))
+            raise refusal("element.surface", what, field="surface")
     count = int(np.clip(np.ceil(far[0][-1] / LINE_STEP), *LINES))
     places = np.linspace(0.0, far[0][-1], count + 1)
     share = np.interp(places, far[0], even)

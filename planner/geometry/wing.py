@@ -35,7 +35,7 @@ from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, turned
 from planner.geometry.matching import Match, join
 from planner.geometry.rulings import resample
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 
 THICKNESS_COEFFICIENTS: Final = (0.2969, -0.1260, -0.3516, 0.2843, -0.1015)
 """Coefficients of x^0.5, x, x^2, x^3, x^4 of the half thickness of a section 20 % thick."""
@@ -181,7 +181,7 @@ def _fine(curve: CubicSpline, start: float, stop: float, tolerance: float) -> Fl
 
 
 def _refuse_digits(digits: str, what: str) -> TandemError:
-    return TandemError(Issue("part.naca", f"NACA {digits}: {what}; correct the digits", field="part.wing"))
+    return refusal("part.naca", f"NACA {digits}: {what}; correct the digits", field="part.wing")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -413,4 +413,4 @@ def _note(path: Path, field: str, what: str) -> Issue:
 
 
 def _refuse_file(code: str, path: Path, field: str, what: str) -> TandemError:
-    return TandemError(Issue(code, f"{path.name}: {what}", file=str(path), field=field))
+    return refusal(code, f"{path.name}: {what}", file=str(path), field=field)

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.loops.loop_plan import LoopPlan
 from planner.loops.next_loop import Law, expected, springback
 from planner.loops.stability import RULES, Rule, border, gamma
@@ -65,9 +65,7 @@ def require_settling(found: JobBorder, law: Law) -> None:
         f"that of the sheet) may be {found.ratio:.2f}, allowed below {most:.2f}: level {worst} has gamma "
         f"{g:.2f}, and the loop would swing up"
     )
-    raise TandemError(
-        Issue("forming.loop_unstable", what, field="gain", value=found.ratio, limit=most, hint=hint)
-    )
+    raise refusal("forming.loop_unstable", what, field="gain", value=found.ratio, limit=most, hint=hint)
 
 
 def map_exhibit(found: JobBorder, law: Law) -> dict[str, Any]:

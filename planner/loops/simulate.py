@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.loops import next_loop
 from planner.loops.loop_plan import LoopPlan
 from planner.loops.next_loop import Law
@@ -125,4 +125,4 @@ def require_shape(plan: LoopPlan, plant: PlantFile) -> None:
                 f"the plant's {plant.sheet} at z = {level.depth / MM:.1f} mm, allowed {ON_CONTOUR / MM:g} mm"
             )
             hint = "give the plant curves of your part instead of sheet"
-            raise TandemError(Issue("forming.loop_plant", what, field="sheet", hint=hint))
+            raise refusal("forming.loop_plant", what, field="sheet", hint=hint)

@@ -10,7 +10,7 @@ from planner.catalogue.robots import OffsetParameters, OpwParameters
 from planner.cell import clearance
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.motion import offset_wrist, own_clearance
 from planner.motion.place_margin import reach_gap
 from planner.motion.planning_scene import Scene, holders
@@ -404,8 +404,8 @@ def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], sam
             what = f"arm {arm} cannot follow the straight move to target {targets.name(index)}: between "
             what += f"targets it leaves its reach or its branch {branch[arm]}"
             hint = "put targets closer together there, or move the stock"
-            raise TandemError(
-                Issue("motion.linear_move", what, arm=arm, index=index, target=targets.name(index), hint=hint)
+            raise refusal(
+                "motion.linear_move", what, arm=arm, index=index, target=targets.name(index), hint=hint
             )
     hit = np.flatnonzero(~clear(scene, targets, samples))
     if len(hit):

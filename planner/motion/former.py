@@ -15,7 +15,7 @@ import numpy as np
 from planner.cell.plant import content_digest
 from planner.geometry.arrays import FloatArray, spread_rows
 from planner.geometry.units import DEG
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, refusal
 from planner.motion.placement import SAME_POSE, Place
 from planner.motion.search.path_search import LONG_JOB
 from planner.motion.search.reach import full_turn
@@ -57,7 +57,7 @@ class Former:
             wrong = "a path in it is none"
         if wrong:
             what = f"the plan of {plan.problem_name} is damaged: {wrong}"
-            raise TandemError(Issue("plan.damaged", what, hint="plan that problem again"))
+            raise refusal("plan.damaged", what, hint="plan that problem again")
 
     def unlike(self, problem: Problem) -> str:
         """Why nothing of the plan is taken over for a problem; empty where something may be."""

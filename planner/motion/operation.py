@@ -11,7 +11,7 @@ import numpy as np
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, Severity, TandemError, aggregate
+from planner.issues import Issue, Severity, TandemError, aggregate, refusal
 from planner.motion import diagnosis, transit, ways
 from planner.motion.former import FormerPath
 from planner.motion.planning_scene import Scene
@@ -494,7 +494,7 @@ def _clock(
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"
-        raise TandemError(Issue("motion.timing", message, index=failure.index, hint=hint)) from failure
+        raise refusal("motion.timing", message, index=failure.index, hint=hint) from failure
     return targets, ticks, path.deviation
 
 

@@ -16,7 +16,7 @@ from planner.cell import axis_way, plant, support
 from planner.cell.axis_way import AxisWay
 from planner.geometry.arrays import FloatArray, corners, transform
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.motion import diagnosis, following, own_clearance
 from planner.motion.place_margin import margin
 from planner.motion.planning_scene import Scene
@@ -241,7 +241,7 @@ def stationed(
     if problem.stock.place is None or any(setup.stock.place is None for setup in problem.setups):
         what = "an arm stands on a track or gantry and the block's place is searched; both together "
         what += "are not written "
-        raise TandemError(Issue("problem.track", f"{what}yet; state stock.place", field="stock.place"))
+        raise refusal("problem.track", f"{what}yet; state stock.place", field="stock.place")
     at = problem.homes
     out: dict[int, dict[str, float]] = {}
     riding: list[Targets] = []
@@ -280,7 +280,7 @@ def _check_way_home(problem: Problem, axes: Mapping[str, _Axis], at: Mapping[str
             what += _near(way)
             hint = "take what is there away, or let the axis have its home on the other side of it"
             field = f"operations.{index}"
-            raise TandemError(Issue("motion.station", what, hint=hint, field=field))
+            raise refusal("motion.station", what, hint=hint, field=field)
 
 
 def values(track: LinearAxis, step: float = STEP_M) -> FloatArray:
@@ -433,7 +433,7 @@ def _followed(work: _StationSearch, axis: _Axis, rest: Sequence[_Axis]) -> _Stoo
         what = f"operation {name}: its freedoms let the tool slide by up to {slides / MM:.1f} mm along "
         what += f"{axis.unit}, which goes along by nominal poses; allowed are "
         what += f"{following.MOST_SLIDE_M / MM:g} mm; leave them out, or take follow out of the track"
-        raise TandemError(Issue("problem.track", what, arm=axis.name, field=f"operations.{index}"))
+        raise refusal("problem.track", what, arm=axis.name, field=f"operations.{index}")
     kept: list[_Stood] = []
     others: list[Issue] = []
 
@@ -473,7 +473,7 @@ def _followed(work: _StationSearch, axis: _Axis, rest: Sequence[_Axis]) -> _Stoo
         else:
             first = f"clear away what is in the way, or {MORE_POSES}"
         hint = f"{first}; or {hint}"
-    raise TandemError(Issue("motion.station", what, arm=axis.name, hint=hint, field=f"operations.{index}"))
+    raise refusal("motion.station", what, arm=axis.name, hint=hint, field=f"operations.{index}")
 
 
 def _base_fault(work: _StationSearch, axis: _Axis, at: Mapping[str, float], values: FloatArray) -> str:

@@ -18,7 +18,7 @@ from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.geometry.arrays import BoolArray, FloatArray, log_rotation
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.motion import own_clearance
 from planner.motion.planning_scene import Scene
 from planner.motion.rrt import Places, blocked_places, connect
@@ -236,9 +236,7 @@ def require_home(scene: Scene, targets: Targets) -> None:
     what = f"at home {pair[0]} and {pair[1]} are {said}, allowed is {wanted / MM:.1f} mm apart at least"
     hint = "choose another home posture (home_deg), such as with axis 2 drawn back or axis 1 turned away, or "
     hint += "move what is in the way"
-    raise TandemError(
-        Issue("motion.home", what, bodies=pair, **measurement(distance, wanted / MM, "mm"), hint=hint)
-    )
+    raise refusal("motion.home", what, bodies=pair, **measurement(distance, wanted / MM, "mm"), hint=hint)
 
 
 def _ways(scene: Scene, goal: Mapping[str, FloatArray], order: tuple[str, ...]) -> Ways | _Stuck:

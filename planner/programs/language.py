@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.problem import Arm, Problem
 from planner.programs.program_text import ProgramText
 from planner.programs.stages import TaskText
@@ -121,4 +121,4 @@ def _load(language: Language) -> Reader:
         return plugins.load(language.reader, Reader)
     except plugins.PluginError as error:
         what = f"the reader of {language.title} {error}; mend or uninstall its package"
-        raise TandemError(Issue("post.language", what)) from error
+        raise refusal("post.language", what) from error

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from planner.claims.claim import Claim
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 from planner.problem import Problem
 from planner.proof.context import Claims, Context
 from planner.proof.facts import Fact
@@ -83,7 +83,7 @@ def of_processes(problem: Problem | None = None) -> tuple[ProofOfProcess, ...]:
     try:
         return tuple(plugins.parts(Process, "proof", ProofOfProcess, used))
     except PluginError as error:
-        raise TandemError(Issue("problem.process_package", str(error))) from error
+        raise refusal("problem.process_package", str(error)) from error
 
 
 def edges(context: Context, index: int, arm: str) -> tuple[Edges, ...]:

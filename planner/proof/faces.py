@@ -5,7 +5,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import small_pieces
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 
 MOST_PIECES = 4_000_000
 """Pieces of a face at most, where it has to be looked at all over."""
@@ -48,5 +48,5 @@ def divided(corners: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
             f"a face has so many long, thin facets that pieces of {size / MM:.2f} mm are over {MOST_PIECES}; "
         )
         what += "export it with facets of even shape"
-        raise TandemError(Issue("verify.duration", what, value=float(len(parts)), limit=float(MOST_PIECES)))
+        raise refusal("verify.duration", what, value=float(len(parts)), limit=float(MOST_PIECES))
     return parts, owner

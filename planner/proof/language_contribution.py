@@ -14,7 +14,7 @@ from typing import Final
 
 from planner.claims import sentences
 from planner.claims.sentences import Sentence
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 from planner.problem import Arm, Problem
 from planner.programs.handshake.automata import Wiring
 from planner.programs.stages import TaskText
@@ -205,4 +205,4 @@ def of_languages(problem: Problem | None = None) -> tuple[ProofOfLanguage, ...]:
     try:
         return tuple(plugins.parts(Language, "proof", ProofOfLanguage, used))
     except PluginError as error:
-        raise TandemError(Issue("post.language", str(error))) from error
+        raise refusal("post.language", str(error)) from error

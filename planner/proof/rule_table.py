@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
 from planner import issue_codes
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.problem import Problem
 from planner.proof.contribution import Ahead, ProofOfProcess, of_processes
 from planner.proof.language_contribution import ProofOfLanguage, of_languages
@@ -68,11 +68,11 @@ def rules_of(problem: Problem | None = None) -> tuple[Rule, ...]:
     rules = dict.fromkeys((*GENERAL, *_rules(of_languages()), *_rules(of_processes())))
     taken = {rule.code for rule in rules}
     texts, own = _rules(of_languages(problem)), _rules(of_processes(problem))
-    for refusal, some in (("post.language", texts), ("problem.process_package", own)):
+    for code, some in (("post.language", texts), ("problem.process_package", own)):
         for rule in (rule for rule in some if rule not in rules):
             if fault := _fault(rule, taken):
                 what = f"the rule {rule.code} of {rule.examine.__module__} {fault}"
-                raise TandemError(Issue(refusal, f"{what}; mend or uninstall its package"))
+                raise refusal(code, f"{what}; mend or uninstall its package")
             rules[rule] = None
             taken.add(rule.code)
     return tuple(rules)
@@ -100,11 +100,11 @@ def by_stage(rules: Iterable[Rule]) -> Mapping[Stage, tuple[Rule, ...]]:
     found: dict[str, Rule] = {}
     for rule in rules:
         if found.setdefault(rule.code, rule) is not rule:
-            raise TandemError(Issue("internal.error", f"two rules have the code {rule.code}"))
+            raise refusal("internal.error", f"two rules have the code {rule.code}")
     listed = {code for codes in ORDER.values() for code in codes}
     missing = sorted(listed - found.keys())
     if missing:
-        raise TandemError(Issue("internal.error", f"there is no rule for {', '.join(missing)}"))
+        raise refusal("internal.error", f"there is no rule for {', '.join(missing)}")
     added = [rule for code, rule in found.items() if code not in listed]
     return {
         stage: (*(found[code] for code in codes), *(rule for rule in added if rule.stage == stage))

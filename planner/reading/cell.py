@@ -12,7 +12,7 @@ from planner.catalogue.robots import JointStiffness, RobotData, robot, robot_nam
 from planner.geometry.arrays import FloatArray, Shape, from_rpy
 from planner.geometry.mesh_files import read_mesh
 from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Arm, Cell, Obstacle, SagCompensation
 from planner.reading import axes, rails
 from planner.reading.controller import ControllerFile, controllers
@@ -383,7 +383,7 @@ def build(spec: CellFile, folder: Path) -> Cell:
             raise TandemError(here) from error
         if arm.home_deg is not None and (short := posture_fault(arm.home_deg, data.axes)):
             what = f"home_deg: {short}"
-            raise TandemError(Issue("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name))
+            raise refusal("problem.field", what, field=f"arms.{number}.home_deg", arm=arm.name)
         home = data.home if arm.home_deg is None else data.from_controller(np.array(arm.home_deg) * DEG)
         if float(data.limit_margin(home)) < 0.0:
             raise TandemError(_outside(arm, number, data))
@@ -392,7 +392,7 @@ def build(spec: CellFile, folder: Path) -> Cell:
             raise TandemError(too_heavy(arm.name, f"arms.{number}.tool", mounted, data))
         if arm.stiffness is not None and data.axes != 6:
             what = f"stiffness: is of six axes, {data.title} has {data.axes}; leave it out"
-            raise TandemError(Issue("problem.field", what, field=f"arms.{number}.stiffness", arm=arm.name))
+            raise refusal("problem.field", what, field=f"arms.{number}.stiffness", arm=arm.name)
         stiffness = data.stiffness if arm.stiffness is None else arm.stiffness.value()
         sag = None if arm.compensate_sag is None else arm.compensate_sag.value()
         if sag is not None and stiffness is None:
@@ -414,7 +414,7 @@ def build(spec: CellFile, folder: Path) -> Cell:
     wires = tuple(wire.value() for wire in wires_at_hand(spec.wires or ()))
     if spec.turntable is not None and spec.positioner is not None:
         what = "a turntable and a positioner under one block; state the one on which it stands"
-        raise TandemError(Issue("problem.field", what, field="positioner"))
+        raise refusal("problem.field", what, field="positioner")
     below = spec.turntable if spec.positioner is None else spec.positioner
     table, plate = axes.turntable(below, arms, controller, [body.name for body in obstacles])
     return Cell(spec.name, tuple(arms), (*obstacles, *plate), controller, _grippers(spec), wires, table)
@@ -433,7 +433,7 @@ def _family(word: str, arm: ArmFile, number: int) -> str:
         if stated is not None:
             what = f"{field} of arm {arm.name}: {title} (controller: {{language: {word}}}) are written for "
             what += "arms that stand still; leave it out, or take the arm's own language"
-            raise TandemError(Issue("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name))
+            raise refusal("problem.field", what, field=f"arms.{number}.{field}", arm=arm.name)
     return "ROS" if language is None else language.families[0]
 
 
@@ -442,7 +442,7 @@ def _robot(spec: str | OwnRobotFile, folder: Path) -> RobotData:
         return robot(spec)
     if spec.name in robot_names():
         what = f"name: {spec.name!r} is a robot that is built in; give your own another name"
-        raise TandemError(Issue("problem.duplicate_name", what, field="name"))
+        raise refusal("problem.duplicate_name", what, field="name")
     return robot_of(spec, folder)
 
 
@@ -455,9 +455,7 @@ def _refuse_alike(arms: list[Arm]) -> None:
         other = first.setdefault(arm.robot, arm.given)
         if _said(other) != _said(arm.given):
             what = f"name: {arm.robot!r} is another robot in another arm of the cell; name them apart"
-            raise TandemError(
-                Issue("problem.duplicate_name", what, field=f"arms.{number}.robot.name", arm=arm.name)
-            )
+            raise refusal("problem.duplicate_name", what, field=f"arms.{number}.robot.name", arm=arm.name)
 
 
 def _said(robot: RobotData) -> tuple[object, ...]:
@@ -483,12 +481,12 @@ def _grippers(spec: CellFile) -> tuple[tooling.Gripper, ...]:
         try:
             made = tool(named, Path())
         except ValueError as error:
-            raise TandemError(
-                Issue("problem.field", f"grippers.{number}: {error}", field=f"grippers.{number}")
+            raise refusal(
+                "problem.field", f"grippers.{number}: {error}", field=f"grippers.{number}"
             ) from error
         if made.name.lower() in [other.name.lower() for other in out]:
             what = f"grippers.{number}: the name '{made.name}' is given more than once; name them apart"
-            raise TandemError(Issue("problem.duplicate_name", what, field=f"grippers.{number}"))
+            raise refusal("problem.duplicate_name", what, field=f"grippers.{number}")
         out += [made] if isinstance(made, tooling.Gripper) else []
     return tuple(out)
 
@@ -525,7 +523,7 @@ def tool(spec: ToolFile, folder: Path) -> tooling.Tool:
     try:
         return _working_tool(spec)
     except ValueError as error:
-        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
+        raise refusal("problem.field", f"tool: {error}", field="tool") from error
 
 
 def _working_tool(

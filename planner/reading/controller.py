@@ -12,7 +12,7 @@ from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from planner.claims.handshake import Handshake, HandshakeKind, PartnerSignals, SignalWire
 from planner.geometry.units import DEG
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import (
     Cell,
     Controller,
@@ -214,14 +214,14 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
     for field, names in stated:
         if len(names) < len(arms):
             what = f"{len(names)} {field} for {len(arms)} arms; name one for each arm of the cell"
-            raise TandemError(Issue("post.tasks", what, field=f"controller.{field}"))
+            raise refusal("post.tasks", what, field=f"controller.{field}")
         if not alone and len({name.lower() for name in names}) != len(names):
             what = f"the {field} {', '.join(names)} are not different; give each arm its own"
-            raise TandemError(Issue("problem.duplicate_name", what, field=f"controller.{field}"))
+            raise refusal("problem.duplicate_name", what, field=f"controller.{field}")
     for field, called in (("controller.tasks", tasks), ("arms", tuple(arms))):
         if "controller" in (name.lower() for name in called):
             what = "controller is the folder of files for controllers beside the programs; rename it"
-            raise TandemError(Issue("problem.field", what, field=field))
+            raise refusal("problem.field", what, field=field)
     if spec.handshake is not None and not alone:
         raise _wrong("", "a handshake is stated, but sync is multimove; set sync to handshake or take it out")
     handshake = (
@@ -261,14 +261,14 @@ def _check_ros(spec: ControllerFile, arms: Sequence[str]) -> None:
     for name in spec.joint_prefix:
         if name not in arms:
             what = f"the cell has no arm {name}; allowed: {', '.join(arms)}"
-            raise TandemError(Issue("problem.field", what, field="controller.joint_prefix"))
+            raise refusal("problem.field", what, field="controller.joint_prefix")
     if spec.language != "ros" and spec.joint_prefix:
         what = f"a joint_prefix is stated, but language is {spec.language}; set language: ros or take it out"
-        raise TandemError(Issue("problem.field", what, field="controller.joint_prefix"))
+        raise refusal("problem.field", what, field="controller.joint_prefix")
     if spec.language == "ros" and spec.sync == "handshake":
         what = "language: ros with sync: handshake; one controller moves all joints there, on one clock: "
         what += "take sync out, or two arms with languages of their own"
-        raise TandemError(Issue("problem.field", what, field="controller.sync"))
+        raise refusal("problem.field", what, field="controller.sync")
 
 
 def _check_path(spec: ControllerFile, arms: int) -> None:
@@ -282,7 +282,7 @@ def _check_path(spec: ControllerFile, arms: int) -> None:
         )
     else:
         return
-    raise TandemError(Issue("problem.field", what, field="controller.path"))
+    raise refusal("problem.field", what, field="controller.path")
 
 
 def _interlock(spec: InterlockFile) -> Interlock:
@@ -302,7 +302,7 @@ def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshak
     for arm, numbers in io.items():
         if arm not in arms:
             what = f"the cell has no arm {arm}; allowed: {', '.join(arms)}"
-            raise TandemError(Issue("problem.field", what, field="controller.io"))
+            raise refusal("problem.field", what, field="controller.io")
         own = handshake.of(arm) if handshake else None
         inputs = {own.input.lower(), own.partner_running.lower()} if own else set()
         lines = inputs | (
@@ -373,7 +373,7 @@ def _check_wires(wires: Sequence[SignalWire], signals: Mapping[str, PartnerSigna
 
 def _wrong(field: str, message: str) -> TandemError:
     place = "controller.handshake" + (f".{field}" if field else "")
-    return TandemError(Issue("problem.field", message, field=place))
+    return refusal("problem.field", message, field=place)
 
 
 MAX_RAPID_NAME: Final = 32

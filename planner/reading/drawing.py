@@ -10,7 +10,7 @@ from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray
 from planner.geometry.nurbs import NurbsCurve
 from planner.geometry.units import LENGTH_UNITS
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 
 CAD_INSTALL: Final = "pip install 'tandem-planner[cad]'"
 """What to run where the reader of DXF files is missing."""
@@ -203,4 +203,4 @@ def _shut(points: FloatArray) -> bool:
 
 
 def refused(code: str, path: Path, field: str, what: str) -> TandemError:
-    return TandemError(Issue(code, f"{path.name}: {what}", file=str(path), field=field))
+    return refusal(code, f"{path.name}: {what}", file=str(path), field=field)

@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from planner.catalogue.materials import Foam, KerfFit, KerfTests, wire_material
 from planner.files import write_whole
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import BentWire
 from planner.reading import strict_yaml
 from planner.reading.strict_yaml import Name, Positive, Strict
@@ -283,7 +283,7 @@ def write_foam(path: Path, foam: Foam, source: str) -> None:
         )
     except OSError as error:
         text = f"{path}: cannot be written ({error.strerror or error}); choose another place"
-        raise TandemError(Issue("output.folder", text, file=str(path))) from error
+        raise refusal("output.folder", text, file=str(path)) from error
 
 
 def _written(fit: KerfFit) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from planner.catalogue.robots import (
 from planner.cell.kinematics import flange_poses, form_jacobian
 from planner.geometry.arrays import FloatArray, from_parts, from_rpy, inverse, log_rotation
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.reading.urdf import SNAP_STEP, CoupledError, UrdfChain, limit_faults, read_chain
 
 AXES_MEET: Final = 3e-3
@@ -72,14 +72,12 @@ def fit(chain: UrdfChain) -> ArmFit:
         )
         hint = "its figures have noise, as those taken from meshes do: write those of the maker's drawing"
         hint += _first_off(chain, form)
-        raise TandemError(
-            Issue(
-                "robot.deviation",
-                message,
-                field="urdf",
-                **measurement(off[0] / MM, MOST_OFF / MM, "mm"),
-                hint=hint,
-            )
+        raise refusal(
+            "robot.deviation",
+            message,
+            field="urdf",
+            **measurement(off[0] / MM, MOST_OFF / MM, "mm"),
+            hint=hint,
         )
     return ArmFit(form, off, _apart(chain.tip(q, written=True), tip))
 

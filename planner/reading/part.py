@@ -30,7 +30,7 @@ from planner.geometry.placing import (
 )
 from planner.geometry.rulings import resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
-from planner.issues import Issue, Remedy, Severity, TandemError, has_errors
+from planner.issues import Issue, Remedy, Severity, TandemError, has_errors, refusal
 from planner.problem import Part, Stock
 from planner.reading import part_ruled, part_surfaces, rhino, sheet
 from planner.reading.drawing import FileCurve, read_dxf
@@ -187,7 +187,7 @@ def _flat(path: Path, found: Sequence[FileCurve], field: str, code: str) -> list
             f"({at[0]:.2f}, {at[1]:.2f}) mm with its ends {gap:.3g} mm apart; close them, or name a layer "
             "without them"
         )
-        raise TandemError(Issue("part.outline_open", what, file=str(path), field=field))
+        raise refusal("part.outline_open", what, file=str(path), field=field)
     height = max(float(np.ptp(curve.points[:, 2])) for curve in found)
     if height <= 1e-5:
         return []
@@ -282,7 +282,7 @@ def build(spec: PartFile, folder: Path, stock: Stock) -> Part:
         return sheet.build(spec.sheet_mesh, folder, stock, pose)
     if stock.sheet is not None:
         what = "part: a sheet is formed to a sheet_mesh; give one, or a block as stock:"
-        raise TandemError(Issue("problem.field", what, field="part"))
+        raise refusal("problem.field", what, field="part")
     if spec.front is not None:
         faces = part_surfaces.build_faces(spec.front, spec.back, folder)
         return _with_faces(faces, spec.in_stock, stock_size)
@@ -383,13 +383,11 @@ def _refuse_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> No
     turned = "also when turned to fit best" if auto else "at in_stock; try in_stock: auto or move it"
     worst = int(np.argmax(missing))
     enough = tuple(float(v) for v in np.ceil((stock_size + missing) / (0.1 * MM) - 1e-6) / 10.0)
-    raise TandemError(
-        Issue(
-            "part.stock_too_small",
-            f"the part stands out of the block of {size} mm by {short}, {turned}; use a larger block",
-            field="stock.size_mm",
-            **measurement(float((stock_size + missing)[worst] * 1e3), float(stock_size[worst] * 1e3), "mm"),
-            hint=f"the part alone needs size_mm: [{', '.join(f'{v:g}' for v in enough)}]",
-            remedy=Remedy("size", "stock", size_mm=enough),
-        )
+    raise refusal(
+        "part.stock_too_small",
+        f"the part stands out of the block of {size} mm by {short}, {turned}; use a larger block",
+        field="stock.size_mm",
+        **measurement(float((stock_size + missing)[worst] * 1e3), float(stock_size[worst] * 1e3), "mm"),
+        hint=f"the part alone needs size_mm: [{', '.join(f'{v:g}' for v in enough)}]",
+        remedy=Remedy("size", "stock", size_mm=enough),
     )

@@ -18,7 +18,7 @@ from planner.geometry.placing import backwards, outwards
 from planner.geometry.rulings import resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
 from planner.geometry.wing import Panel, naca, read_airfoil, wing_surface
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 from planner.reading import rhino, step
 from planner.reading.drawing import read_dxf
 from planner.reading.rhino import RhinoFile, RhinoRuledFile
@@ -101,7 +101,7 @@ def _airfoil_section(spec: SectionFile, folder: Path, field: str) -> tuple[Float
         return naca(spec.naca or ""), []
     except TandemError as error:
         issue = error.issues[0]
-        raise TandemError(Issue(issue.code, issue.message, field=f"{field}.naca")) from error
+        raise refusal(issue.code, issue.message, field=f"{field}.naca") from error
 
 
 def _thickness(points: FloatArray) -> float:
@@ -243,9 +243,7 @@ def build_ruled(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[
             "or both, "
             "or another corner_deg"
         )
-        raise TandemError(
-            Issue("part.corners", what, field=field, value=float(counts[1]), limit=float(counts[0]))
-        )
+        raise refusal("part.corners", what, field=field, value=float(counts[1]), limit=float(counts[0]))
     start, end, reverse = aligned(start, end, spec.match)
     if reverse:
         what = f"surface {spec.name}: its end guide runs against its start guide and was run the other way, "
@@ -268,7 +266,7 @@ def guide(spec: GuideFile, closed: bool | None, folder: Path, field: str) -> tup
         least = "3 points" if closed else "2 points"
         what = f"the guide has {len(own.points)} points and a length of {own.length / MM:.3g} mm; "
         what += f"at least {least} that differ and 1 mm are wanted"
-        raise TandemError(Issue("part.guide", what, field=field))
+        raise refusal("part.guide", what, field=field)
     if spec.corners_mm is not None:
         at = np.array(spec.corners_mm, dtype=np.float64).reshape(-1, 3) * MM
         if len(at) == 0:
@@ -302,7 +300,7 @@ def _raw(spec: GuideFile, wanted: bool | None, folder: Path, field: str) -> tupl
         got = f"{len(found)} curves" if len(found) != 1 else f"a curve that is not {kind}"
         kind = "" if wanted is None else f"{kind} "
         said = f"{file}: holds {got}{asked}, one {kind}curve is wanted; {what}"
-        raise TandemError(Issue(code, said, field=place))
+        raise refusal(code, said, field=place)
     points = found[0].run() if wanted is None else found[0].points.copy()
     if height is not None:
         points[:, 2] = height * MM

@@ -19,7 +19,7 @@ from planner.geometry.mesh_files import LARGEST_EXTENT, SMALLEST_EXTENT, read_me
 from planner.geometry.ruled_approximation import Patch, find_rulings, of_mesh, of_surface
 from planner.geometry.rulings import edge_surface, resample
 from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 from planner.reading import rhino, step
 from planner.reading.cad_faces import CadFace
 from planner.reading.rhino import RhinoFaceFile
@@ -243,7 +243,7 @@ def surface(
             "all are "
             "allowed; correct its measures, or allow a larger chord_mm"
         )
-        raise TandemError(Issue("mesh.unit", what, field=field))
+        raise refusal("mesh.unit", what, field=field)
     vertices, normals, faces = tessellate(loft.loft(), region.u, region.v, loft.chord_mm * MM)
     if loft.flip:
         normals, faces = -normals, faces[:, ::-1]
@@ -270,7 +270,7 @@ def check_size(front: TriangleMesh, field: str, largest: float = LARGEST_EXTENT)
     if width < SMALLEST_EXTENT or length > largest:
         what = f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
         what += f"{SMALLEST_EXTENT * 1e3:g} to {largest * 1e3:g} mm; correct its measures, unit or region"
-        raise TandemError(Issue("mesh.unit", what, field=field))
+        raise refusal("mesh.unit", what, field=field)
 
 
 def check_file(mesh: TriangleMesh, field: str, path: Path) -> None:
@@ -301,13 +301,11 @@ def _check_sides(front: TriangleMesh, back: TriangleMesh) -> None:
             if wrong
         ]
         remedy = f"turn over the {' and the '.join(over)} (flip: true, or false where it is true)"
-        raise TandemError(
-            Issue(
-                "part.faces",
-                f"the face {what}; normals of both faces must point away from the part: "
-                + (remedy if over and depth != 0.0 and facing != 0.0 else "move one of them"),
-                field="part.back",
-            )
+        raise refusal(
+            "part.faces",
+            f"the face {what}; normals of both faces must point away from the part: "
+            + (remedy if over and depth != 0.0 and facing != 0.0 else "move one of them"),
+            field="part.back",
         )
 
 
@@ -356,9 +354,7 @@ def build_mesh(spec: RuledMeshFile, folder: Path) -> tuple[Ruled, list[Issue]]:
     largest, limit = found.largest / MM, spec.tolerance_mm
     if largest > limit:
         what += f"; {limit:g} mm are allowed: allow more, or cut it in ruled strips (part.strips)"
-        raise TandemError(
-            Issue("part.not_ruled", what, field="part.mesh", value=largest, limit=limit, unit="mm")
-        )
+        raise refusal("part.not_ruled", what, field="part.mesh", value=largest, limit=limit, unit="mm")
     note = Issue(
         "part.ruled_deviation", what, Severity.NOTE, field="part.mesh", **measurement(largest, limit, "mm")
     )
@@ -377,17 +373,15 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
     count, worst, limit = len(found.strips), float(found.deviation.max() / MM), spec.tolerance_mm
     what = ruled_approximation.strip_notes(found)
     if spec.count is not None and worst > limit:
-        raise TandemError(
-            Issue(
-                "part.strips",
-                f"{what}; {limit:g} mm are allowed, so take more strips, or leave count out",
-                field="part.strips.count",
-                **measurement(worst, limit, "mm"),
-            )
+        raise refusal(
+            "part.strips",
+            f"{what}; {limit:g} mm are allowed, so take more strips, or leave count out",
+            field="part.strips.count",
+            **measurement(worst, limit, "mm"),
         )
     if spec.take > count:
         what = f"take is {spec.take}, the surface is cut into {count} strips; take one of them"
-        raise TandemError(Issue("part.strips", what, field="part.strips.take"))
+        raise refusal("part.strips", what, field="part.strips.take")
     note = Issue(
         "part.strips_found", what, Severity.NOTE, field="part.strips", value=worst, limit=limit, unit="mm"
     )

@@ -19,7 +19,7 @@ from planner.catalogue.robots import bundled
 from planner.files import carried_name, each_file, is_file
 from planner.geometry.units import DEG, MM
 from planner.issue_codes import all_codes
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Cell, Change, Fixed, Force, Operation, Problem, Settings
 from planner.reading import axes, controller, grip_choice, loads, materials, rails, strict_yaml
 from planner.reading import cell as cell_file
@@ -469,10 +469,8 @@ def _cell(spec: str | CellFile, document: Document) -> Cell:
     path = document.path.parent / spec
     if not is_file(path):
         what = f"cell: no file {path}; check the path, which starts at the folder of the problem file"
-        raise TandemError(
-            Issue(
-                "problem.missing_file", what, file=document.name, line=document.line(("cell",)), field="cell"
-            )
+        raise refusal(
+            "problem.missing_file", what, file=document.name, line=document.line(("cell",)), field="cell"
         )
     return read_cell(strict_yaml.read(path))
 

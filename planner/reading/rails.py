@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import AXES_WRITTEN, Arm, Controller, LinearAxis, Problem, any_base
 from planner.reading.strict_yaml import Name, Strict, Vector
 
@@ -276,13 +276,13 @@ def check_units(arms: Sequence[Arm], controller: Controller) -> None:
             if rail.unit.lower() in taken:
                 what = f"the unit {rail.unit} is that of {taken[rail.unit.lower()]}, too; give each "
                 what += f"{kind} its own"
-                raise TandemError(Issue("problem.duplicate_name", what, field=f"{field}.unit", arm=arm.name))
+                raise refusal("problem.duplicate_name", what, field=f"{field}.unit", arm=arm.name)
             own[rail.unit.lower()] = f"arm {arm.name}"
             for body in rail.carries:
                 if body in riding:
                     what = f"carries: {body} rides on {riding[body]} and on {rail.label}; name it "
                     what += "where it stands, those above an axis go along with it"
-                    raise TandemError(Issue("problem.field", what, field=f"{field}.carries", arm=arm.name))
+                    raise refusal("problem.field", what, field=f"{field}.carries", arm=arm.name)
                 riding[body] = rail.label
         taken |= own
 

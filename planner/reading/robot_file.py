@@ -30,7 +30,7 @@ from planner.files import is_file
 from planner.geometry.arrays import FloatArray, Shape, read_only
 from planner.geometry.mesh_files import PLAIN_SUFFIXES, read_mesh
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.reading.link_visuals import carried, looks
 from planner.reading.strict_yaml import Angle, FileName, Name, Strict
 from planner.reading.urdf import MAX_URDF_BYTES, UrdfChain, UrdfShape, read_chain
@@ -151,7 +151,7 @@ def robot_of(spec: OwnRobotFile, folder: Path) -> RobotData:
     if not float(data.limit_margin(home)) >= 0.0:
         got = ", ".join(f"{v:g}" for v in np.round(home / DEG, 3))
         what = f"home_deg: [{got}] is beyond the limits of the URDF or of coupled_deg; correct them"
-        raise TandemError(Issue("problem.field", what, field="home_deg"))
+        raise refusal("problem.field", what, field="home_deg")
     return data
 
 
@@ -167,16 +167,16 @@ def read_urdf(path: Path) -> str:
     ``robot.urdf`` for what is not UTF-8."""
     if not is_file(path):
         what = f"no file {path}; check the path"
-        raise TandemError(Issue("problem.missing_file", what, field="urdf"))
+        raise refusal("problem.missing_file", what, field="urdf")
     size = path.stat().st_size
     if size > MAX_URDF_BYTES:
         what = f"{size / 1e6:.0f} MB, up to {MAX_URDF_BYTES / 1e6:.0f} MB are read"
-        raise TandemError(Issue("problem.too_large", what, field="urdf", hint="give the URDF of one arm"))
+        raise refusal("problem.too_large", what, field="urdf", hint="give the URDF of one arm")
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         what = f"the file is not UTF-8 ({error})"
-        raise TandemError(Issue("robot.urdf", what, field="urdf", hint="save it as UTF-8")) from None
+        raise refusal("robot.urdf", what, field="urdf", hint="save it as UTF-8") from None
 
 
 def _key_faults(spec: OwnRobotFile, chain: UrdfChain, form: ArmForm) -> Iterator[Issue]:
@@ -309,8 +309,8 @@ def _hull(one: UrdfShape, file: Path) -> Shape:
         hull = ConvexHull(vertices)
     except QhullError:
         what = f"the mesh {one.file} is flat and bounds nothing"
-        raise TandemError(
-            Issue("robot.bodies", what, field="urdf", hint="export it as a solid, or state a box")
+        raise refusal(
+            "robot.bodies", what, field="urdf", hint="export it as a solid, or state a box"
         ) from None
     points = vertices[hull.vertices]
     faces = np.searchsorted(hull.vertices, hull.simplices)

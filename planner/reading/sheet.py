@@ -30,7 +30,7 @@ from planner.geometry.mesh_repair import (
     vertex_noise,
 )
 from planner.geometry.units import DEG, LENGTH_UNITS, MM, measurement
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 from planner.problem import Formed, Part, Sheet, Stock
 from planner.reading.cell import PoseFile
 from planner.reading.strict_yaml import FileName, FileUnit, Positive, Strict
@@ -196,7 +196,7 @@ def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | No
     sheet = stock.sheet
     if sheet is None:
         what = "part.sheet_mesh: there is a block and no sheet; give sheet: instead of stock:"
-        raise TandemError(Issue("problem.field", what, field="part.sheet_mesh"))
+        raise refusal("problem.field", what, field="part.sheet_mesh")
     path = folder / spec.file
     mesh = sewn(read_mesh(path, None if spec.unit is None else LENGTH_UNITS[spec.unit]))
     wrong = check_surface(mesh, "part.sheet_mesh.file", str(path))
@@ -206,7 +206,7 @@ def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | No
     rim = border(mesh.faces)
     if not len(rim):
         what = f"{path}: the mesh is closed; give one face of the sheet as an open surface"
-        raise TandemError(Issue("forming.closed_mesh", what, file=str(path), field="part.sheet_mesh.file"))
+        raise refusal("forming.closed_mesh", what, file=str(path), field="part.sheet_mesh.file")
     if spec.frame == "find":
         mesh = _levelled(mesh, rim, spec.down)
     mesh = _turned_up(mesh, path)
@@ -277,9 +277,7 @@ def _require_no_ridge(mesh: TriangleMesh, meant: TriangleMesh, tolerance: float,
     hint = "take it off the mesh, scan it more finely, or, if it need not be formed, state tolerance_mm: "
     hint += f"{np.ceil(most / MM * 100.0) / 100.0:g}"
     value, limit = most / MM, tolerance / MM
-    raise TandemError(
-        Issue("part.mesh_tolerance", what, field=field, value=value, limit=limit, unit="mm", hint=hint)
-    )
+    raise refusal("part.mesh_tolerance", what, field=field, value=value, limit=limit, unit="mm", hint=hint)
 
 
 def with_formed(stock: Stock, part: Part) -> Stock:
@@ -325,7 +323,7 @@ def _turned_up(mesh: TriangleMesh, path: Path) -> TriangleMesh:
         f"{100 * TURNED_AREA_SHARE:.0f} % may: the faces are oriented inconsistently"
     )
     hint = "orient the faces alike (normals to one side), or check frame and unit"
-    raise TandemError(Issue("forming.inside_out", what, file=str(path), hint=hint))
+    raise refusal("forming.inside_out", what, file=str(path), hint=hint)
 
 
 def _require_tolerance(
@@ -336,7 +334,7 @@ def _require_tolerance(
     if stated is not None and not (np.isfinite(stated) and stated > 0.0):
         what = f"part.sheet_mesh.tolerance_mm: got {stated / MM:g}, allowed is a length above 0"
         hint = "state how far the vertices are off the wanted face, or auto, which finds it"
-        raise TandemError(Issue("part.mesh_tolerance", what, field="part.sheet_mesh.tolerance_mm", hint=hint))
+        raise refusal("part.mesh_tolerance", what, field="part.sheet_mesh.tolerance_mm", hint=hint)
     if tolerance <= DEPTH_SHARE * deep:
         return
     most = DEPTH_SHARE * deep / MM
@@ -350,15 +348,13 @@ def _require_tolerance(
         what += f"{most:.3g} mm, a fifth of the depth of the part, {deep / MM:.3g} mm"
         hint = "smooth the mesh, scan the part more finely, or check the unit"
     field = "part.sheet_mesh.tolerance_mm"
-    raise TandemError(
-        Issue(
-            "part.mesh_tolerance",
-            what,
-            file=str(path),
-            field=field,
-            **measurement(tolerance / MM, most, "mm"),
-            hint=hint,
-        )
+    raise refusal(
+        "part.mesh_tolerance",
+        what,
+        file=str(path),
+        field=field,
+        **measurement(tolerance / MM, most, "mm"),
+        hint=hint,
     )
 
 
@@ -409,14 +405,14 @@ def _require_flat_rim(mesh: TriangleMesh, rim: IntArray, flat: float, path: Path
     hint = (
         "let the part run out into the sheet's plane (frame: find looks for it), or fill a hole in the mesh"
     )
-    raise TandemError(Issue("forming.border", what, file=str(path), hint=hint))
+    raise refusal("forming.border", what, file=str(path), hint=hint)
 
 
 def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:
     formed = mesh.vertices[np.abs(mesh.vertices[:, 2]) > RIM_FLATNESS][:, :2]
     if not len(formed):
         what = f"{path}: the mesh is flat; nothing is to be formed"
-        raise TandemError(Issue("forming.flat", what, file=str(path), hint="check its unit and its frame"))
+        raise refusal("forming.flat", what, file=str(path), hint="check its unit and its frame")
     opening = shapely.Polygon(sheet.opening)
     shapely.prepare(opening)
     formed = formed[~shapely.contains_xy(opening, formed)]
@@ -434,14 +430,12 @@ def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:
             f"use a larger sheet and opening (the part needs {more:.0f} mm more, its tools some besides), "
             "or move the part (in_stock), or check its unit"
         )
-        raise TandemError(
-            Issue(
-                "part.stock_too_small",
-                what,
-                field="sheet.opening_mm",
-                **measurement(float(out.max() / MM), 0.0, "mm"),
-                hint=hint,
-            )
+        raise refusal(
+            "part.stock_too_small",
+            what,
+            field="sheet.opening_mm",
+            **measurement(float(out.max() / MM), 0.0, "mm"),
+            hint=hint,
         )
 
 

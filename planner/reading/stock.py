@@ -13,7 +13,7 @@ from pydantic import Field, Tag
 from planner.catalogue.materials import Foam, foam
 from planner.geometry.arrays import from_rpy
 from planner.geometry.units import DEG, GRAVITY, MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Arm, Cell, Change, Pedestal, Problem, Setup, Stock
 from planner.reading import cell as cell_file
 from planner.reading import materials as material_file
@@ -125,7 +125,7 @@ def with_gripper(cell: Cell, spec: StockFile) -> Cell:
             if found is None
             else "stock.gripper: a gripper is named for a block that no arm holds; give held_by"
         )
-        raise TandemError(Issue("problem.field", what, field="stock.gripper"))
+        raise refusal("problem.field", what, field="stock.gripper")
     arms = tuple(
         dataclasses.replace(arm, tool=found) if arm.name == spec.held_by else arm for arm in cell.arms
     )

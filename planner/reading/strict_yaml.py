@@ -24,7 +24,7 @@ from pydantic import (
 
 from planner.files import FILE_KEYS, is_file, no_file
 from planner.geometry.units import measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 try:  # libyaml, where PyYAML was built with it: twenty times faster, and the same marks
     from yaml import CSafeDumper as _SafeDumper
@@ -119,15 +119,13 @@ def read(path: Path) -> Document:
     """
     name = str(path)
     if not is_file(path):
-        raise TandemError(
-            Issue("problem.missing_file", f"{name}: {no_file(path)}; check the path", file=name)
-        )
+        raise refusal("problem.missing_file", f"{name}: {no_file(path)}; check the path", file=name)
     size = path.stat().st_size
     if size > MAX_YAML_BYTES:
         what = f"{name}: {size / 1e6:.1f} MB, at most {MAX_YAML_BYTES / 1e6:.0f} MB are read as YAML; put "
         what += "meshes and point lists into files of their own"
-        raise TandemError(
-            Issue("problem.too_large", what, file=name, **measurement(size / 1e6, MAX_YAML_BYTES / 1e6, "MB"))
+        raise refusal(
+            "problem.too_large", what, file=name, **measurement(size / 1e6, MAX_YAML_BYTES / 1e6, "MB")
         )
     try:
         raw = path.read_bytes()
@@ -231,7 +229,7 @@ def _child(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int] | N
 
 
 def _not_yaml(name: str, what: str, line: int | None = None) -> TandemError:
-    return TandemError(Issue("problem.not_yaml", f"{name} {what}", file=name, line=line))
+    return refusal("problem.not_yaml", f"{name} {what}", file=name, line=line)
 
 
 def _refuse_too_large(text: str, name: str) -> None:
@@ -308,14 +306,12 @@ def _refuse_repeated(node: yaml.Node, name: str) -> None:
             for key, value in current.value:
                 if key.value in seen:
                     what = f"key '{key.value}' stands twice in one mapping; keep one"
-                    raise TandemError(
-                        Issue(
-                            "problem.duplicate_name",
-                            what,
-                            file=name,
-                            line=key.start_mark.line + 1,
-                            field=str(key.value),
-                        )
+                    raise refusal(
+                        "problem.duplicate_name",
+                        what,
+                        file=name,
+                        line=key.start_mark.line + 1,
+                        field=str(key.value),
                     )
                 seen.add(key.value)
                 stack.append(value)

@@ -16,7 +16,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, exp_rotation, from_parts, from_rpy
 from planner.geometry.mesh_files import LARGEST_EXTENT
 from planner.geometry.units import DEG
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 MAX_URDF_BYTES: Final = 5_000_000
 """Larger files are refused: a URDF is a few ten kilobytes."""
@@ -117,7 +117,7 @@ def read_chain(text: str, base: str, tip: str | None) -> UrdfChain:
     for word, name in (("base", base), ("tip", tip)):
         if name not in links:
             what = f"{word}: the URDF has no link {name!r}, it has {_listed(sorted(links))}"
-            raise TandemError(Issue("robot.chain", what, field=word, hint=f"name one of these as {word}"))
+            raise refusal("robot.chain", what, field=word, hint=f"name one of these as {word}")
     way = _way(above, base, tip)
     issues = list(_faults(way))
     if issues:
@@ -190,7 +190,7 @@ def _of_xacro(element: ET.Element) -> bool:
 
 
 def _no_urdf(what: str, hint: str) -> TandemError:
-    return TandemError(Issue("robot.urdf", f"the file {what}", field="urdf", hint=hint))
+    return refusal("robot.urdf", f"the file {what}", field="urdf", hint=hint)
 
 
 def _links(root: ET.Element) -> dict[str, ET.Element]:
@@ -262,7 +262,7 @@ def _tip(links: dict[str, ET.Element], above: dict[str, ET.Element], base: str, 
     ends = [name for name, count in turned.items() if count == max(turned.values()) > 0]
     hint = "name the flange's link as tip"
     hint += f"; the longest chain from {base} ends at {_listed(sorted(ends))}" if ends else ""
-    raise TandemError(Issue("robot.chain", what, field="tip", hint=hint))
+    raise refusal("robot.chain", what, field="tip", hint=hint)
 
 
 def _way(above: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
@@ -273,8 +273,8 @@ def _way(above: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
         if link not in above or len(way) > len(above):
             seen = _listed([tip, *(_link(joint, "parent") for joint in way)])
             what = f"tip: the link {tip!r} does not hang on the base {base!r}: from it the chain goes {seen}"
-            raise TandemError(
-                Issue("robot.chain", what, field="tip", hint="name a base and a tip that are on one chain")
+            raise refusal(
+                "robot.chain", what, field="tip", hint="name a base and a tip that are on one chain"
             )
         way.append(above[link])
         link = _link(above[link], "parent")

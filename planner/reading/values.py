@@ -20,7 +20,7 @@ import numpy as np
 from planner.files import FILE_KEYS, csv_text, write_whole
 from planner.geometry.arrays import FloatArray, to_quaternion
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.reading.strict_yaml import MAX_DEPTH
 
 SQUARE: Final = 1e-6
@@ -30,7 +30,7 @@ MOST_BITS: Final = 1000
 
 
 def _fault(where: str, what: str, code: str = "problem.field") -> TandemError:
-    return TandemError(Issue(code, f"{where}: {what}", field=where.partition(".")[2] or None))
+    return refusal(code, f"{where}: {what}", field=where.partition(".")[2] or None)
 
 
 def plain(value: Any, where: str, depth: int = 0) -> Any:

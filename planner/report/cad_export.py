@@ -18,7 +18,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Mesh, transform
 from planner.geometry.mesh_files import objects
 from planner.geometry.units import DEG
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import raster, scene
@@ -55,9 +55,7 @@ def moment(problem: Problem, plan: Plan, seconds: float) -> Moment:
     the plan has none."""
     if not plan.operations or not 0.0 <= seconds <= plan.duration:
         what = f"--time: got {seconds:g} s, the plan goes from 0 to {plan.duration:.2f} s"
-        raise TandemError(
-            Issue("problem.field", what, field="time", value=seconds, limit=plan.duration, unit="s")
-        )
+        raise refusal("problem.field", what, field="time", value=seconds, limit=plan.duration, unit="s")
     frame = plan.frame(seconds)
     index = next(i for i, own in enumerate(plan.operations) if own.name == frame.operation)
     setup = problem.setup_of(index)

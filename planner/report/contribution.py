@@ -10,7 +10,7 @@ from typing import Any
 
 from planner.claims.claim import Claim
 from planner.geometry.arrays import FloatArray
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem, Setup, torch_signals
 from planner.proof.verdict import CutFace, Proof
@@ -113,7 +113,7 @@ def of_processes(problem: Problem) -> tuple[ReportOfProcess, ...]:
     try:
         return tuple(plugins.part_of(Process, name, "report", ReportOfProcess) for name in found.values())
     except PluginError as error:
-        raise TandemError(Issue("problem.process_package", str(error))) from error
+        raise refusal("problem.process_package", str(error)) from error
 
 
 def face_words(problem: Problem, face: CutFace) -> FaceWords:
@@ -213,5 +213,5 @@ def by_language(arms: Iterable[Arm]) -> list[tuple[ReportOfLanguage, tuple[Arm, 
             try:
                 out.append((plugins.part_of(Language, name, "report", ReportOfLanguage), own))
             except PluginError as error:
-                raise TandemError(Issue("post.language", str(error))) from error
+                raise refusal("post.language", str(error)) from error
     return out

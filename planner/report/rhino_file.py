@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 
 Rgb = tuple[float, float, float]
 RHINO_VERSION: Final = 7
@@ -76,7 +76,7 @@ def rhino(found: Iterable[Shape | Line | Target]) -> bytes:
         import rhino3dm
     except ImportError as error:
         what = "3DM files need rhino3dm: pip install 'tandem-planner[cad]'"
-        raise TandemError(Issue("part.extra_missing", what, field="output")) from error
+        raise refusal("part.extra_missing", what, field="output") from error
     model = rhino3dm.File3dm()
     model.Settings.ModelUnitSystem = rhino3dm.UnitSystem.Millimeters
     layers: dict[str, int] = {}

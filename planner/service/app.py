@@ -28,7 +28,7 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from planner.batch.cluster import Cluster
 from planner.batch.workers import Workers
-from planner.issues import Issue, TandemError, has_errors
+from planner.issues import Issue, has_errors, refusal
 from planner.report import view3d
 from planner.runtime.version import __version__
 from planner.service import (
@@ -434,15 +434,13 @@ def serve(
 ) -> None:
     """Serve until told to stop: after SIGTERM it returns. Raises ``TandemError`` where it cannot start."""
     if (certificate is None) != (key is None):
-        raise TandemError(
-            Issue("service.start", "TLS needs --certificate and --key, give both", field="certificate")
-        )
+        raise refusal("service.start", "TLS needs --certificate and --key, give both", field="certificate")
     if certificate is not None and key is not None:
         try:
             ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key)
         except (OSError, ssl.SSLError) as error:
             message = f"certificate {certificate} with key {key}: cannot be used ({error}); give PEM files"
-            raise TandemError(Issue("service.start", message, field="certificate")) from error
+            raise refusal("service.start", message, field="certificate") from error
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a connection is a file
     service = Service(options, make_team(options))

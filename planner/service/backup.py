@@ -28,7 +28,7 @@ from sqlalchemy import Connection, Engine, insert, inspect, select, text
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from planner.files import write_whole
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.runtime.version import __version__
 from planner.service.models import (
     METADATA,
@@ -369,4 +369,4 @@ def _sqlite(path: Path) -> str:
 
 
 def _refused(what: str) -> TandemError:
-    return TandemError(Issue("service.backup", what))
+    return refusal("service.backup", what)

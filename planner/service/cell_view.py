@@ -17,7 +17,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, Mesh, from_parts, spread_rows, to_rpy
 from planner.geometry.thinning import thinned
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.motion import axis_map, reach_field, solve, stations
 from planner.motion.first_look import FirstLook
 from planner.motion.planning_scene import Scene
@@ -195,7 +195,7 @@ def _bodies(problem: Problem, setup: Setup, model: CellModel, place: FloatArray)
             f"cell: its bodies have {count:,} triangles, also where fine meshes are thinned out, and at most "
             f"{MOST_TRIANGLES:,} are drawn; name fewer meshes, or export them coarser"
         )
-        raise TandemError(Issue("service.too_large", what, field="cell", value=count, limit=MOST_TRIANGLES))
+        raise refusal("service.too_large", what, field="cell", value=count, limit=MOST_TRIANGLES)
     obstacles = {body.name for body in setup.cell.obstacles}
     out = [_body(name, _kind(name, obstacles), color, own) for (name, color), own in parts.items()]
     return [*out, _body("stock", "part", None, wanted)] if wanted else out

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, outerjoin, select, update
 
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 from planner.reading.strict_yaml import MAX_YAML_BYTES
 from planner.service import audit, finding
 from planner.service.jobs import job_files, put_files
@@ -235,7 +235,7 @@ def token_named(db: Connection, name: str) -> str:
     found: str | None = db.execute(select(TOKENS.c.id).where(TOKENS.c.name == name)).scalar()
     if found is None:
         what = f"name: got {name[:80]!r}; there is no token of that name: list them with tandem token list"
-        raise TandemError(Issue("service.token", what, field="name"))
+        raise refusal("service.token", what, field="name")
     return found
 
 

@@ -41,7 +41,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 from sqlalchemy.sql.elements import ColumnElement
 
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.service.schema import VERSION, NoVersionError, SchemaVersionError, create_or_check
 
 LONGEST_TAG: Final = 40
@@ -308,7 +308,7 @@ class Database:
             self._engine.dispose()
             remedy = error.remedy if isinstance(error, SchemaVersionError) else "Restore a backup."
             message = f"database {shown(url)}: {error}. {remedy}"
-            raise TandemError(Issue("service.database", message, field="database")) from error
+            raise refusal("service.database", message, field="database") from error
         except (DBAPIError, ArgumentError, NoSuchModuleError, ImportError) as error:
             raise TandemError(cannot_open(url, error)) from error
         self._writer = self._engine.execution_options(write=True)

@@ -29,7 +29,7 @@ from joserfc import jwt
 from joserfc.errors import ExpiredTokenError, InvalidKeyIdError, InvalidTokenError, JoseError
 from joserfc.jwk import KeySet
 
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.service.models import TOKEN_ROLES, Database, TokenRole, TokenScope
 from planner.service.scopes import ROLE_OF, scope_fault
 from planner.service.security import TOKEN_NAME, Auth, RefusedError, Who, in_clear, shared_secret
@@ -146,7 +146,7 @@ def _grant(text: str, team: str | None) -> tuple[str, Grant]:
 
 
 def _wrong(field: str, what: str) -> TandemError:
-    return TandemError(Issue("service.start", f"--{field}: {what}", field=field))
+    return refusal("service.start", f"--{field}: {what}", field=field)
 
 
 @dataclasses.dataclass(frozen=True)

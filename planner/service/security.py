@@ -26,7 +26,7 @@ from sqlalchemy.exc import IntegrityError
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.runtime.version import __version__
 from planner.service.models import SECRETS, SESSIONS, TOKEN_ROLES, TOKENS, Database, TokenRole, TokenScope
 from planner.service.scopes import ROLE_OF, is_open, scope_fault
@@ -189,7 +189,7 @@ def lasts(text: str) -> float:
     found = _LASTS.fullmatch(text)
     if found is None:
         what = f"expires: got {text[:40]!r}; give a whole number up to 9999 with h, d or w, such as 90d"
-        raise TandemError(Issue("service.token", what, field="expires"))
+        raise refusal("service.token", what, field="expires")
     return float(found[1]) * _UNITS_S[found[2]]
 
 

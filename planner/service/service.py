@@ -25,7 +25,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.requests import Request
 
 from planner.batch.job import PROBLEM, all_versions
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 from planner.service.drafts import Drafts
 from planner.service.elements import Elements
 from planner.service.estimates import Estimates
@@ -99,7 +99,7 @@ class Service:
             self.database.close()
             message = f"host {options.host}: whoever can reach it needs a token, and there is none yet"
             hint = f"make one: tandem token add NAME --data {options.data}"
-            raise TandemError(Issue("service.start", message, field="host", hint=hint))
+            raise refusal("service.start", message, field="host", hint=hint)
         self.links = Links(self.database)
         self.log_in = None if options.oidc is None else _log_in(self.database, self.auth, options.oidc)
         self.rates, self.failures = Rates(options.limits.requests_per_s), Rates(FAILURES_PER_S)
@@ -488,14 +488,14 @@ def lock_data(data: Path, alone: bool) -> IO[str]:
         lock = (data / "service.lock").open("w")
     except OSError as error:
         message = f"data folder {data}: cannot be written ({error.strerror}); give another one"
-        raise TandemError(Issue("service.start", message, field="data")) from error
+        raise refusal("service.start", message, field="data") from error
     try:
         if alone:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         lock.close()
         message = f"data folder {data}: a service is running on it; stop it, or give another folder"
-        raise TandemError(Issue("service.start", message, field="data")) from error
+        raise refusal("service.start", message, field="data") from error
     return lock
 
 

@@ -38,7 +38,7 @@ from planner.files import FILE_KEYS, base_name, carried_name
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
 from planner.geometry.thinning import thinned
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Problem
 from planner.processes import registry
 from planner.reading import problem as problem_file
@@ -548,7 +548,7 @@ def _cell(
     count = len(problem.operations)
     if asked["operation"] >= count:
         what = f"operation: got {asked['operation']}, the problem has {count}; give 0 to {count - 1}"
-        raise TandemError(Issue("service.request", what, field="operation"))
+        raise refusal("service.request", what, field="operation")
     from planner.service import cell_view  # loads Drake
 
     make = None if kept is None else kept_targets.maker(kept, problem, alike=True)

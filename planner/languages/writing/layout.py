@@ -23,7 +23,7 @@ from planner.claims.handshake import Handshake
 from planner.claims.segments import Segment
 from planner.claims.sentences import SPELT
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.problem import Arm, Controller, Turntable
 from planner.targets import Action
 
@@ -342,7 +342,7 @@ def require_sizes(files: Mapping[str, str], limits: Controller, what: str) -> No
         if len(text.encode()) > limits.max_bytes:
             message = f"{path} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
             hint = f"allow larger {what}: controller: {{max_kilobytes: {kilobytes(text)}}}"
-            raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
+            raise refusal("post.no_split", message, file=path, hint=hint)
 
 
 def require_one_file(path: str, text: str, limits: Controller, moves: int, what: str) -> None:
@@ -353,7 +353,7 @@ def require_one_file(path: str, text: str, limits: Controller, moves: int, what:
         message = f"{got}; allowed: {limits.max_moves} and {limits.max_bytes}, for it is one program"
         most = max(moves, limits.max_moves), max(kilobytes(text), limits.max_bytes // 1000)
         hint = f"allow it: controller: {{max_moves: {most[0]}, max_kilobytes: {most[1]}}}"
-        raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
+        raise refusal("post.no_split", message, file=path, hint=hint)
 
 
 class _Load:
@@ -376,7 +376,7 @@ class _Load:
             most = max(self.max_moves, last - first), max(self.max_bytes, need + self.frame)
             hint = "let the motion stop between two cuts, or allow larger modules: controller: "
             hint += f"{{max_moves: {most[0]}, max_kilobytes: {math.ceil(most[1] / 1000)}}}"
-            raise TandemError(Issue("post.no_split", message, index=first, hint=hint))
+            raise refusal("post.no_split", message, index=first, hint=hint)
         if self.moves and (self.moves + last - first > self.max_moves or self.bytes + need > self.max_bytes):
             self.module, self.moves, self.bytes = self.module + 1, 0, self.frame
         self.moves += last - first

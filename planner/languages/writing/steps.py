@@ -17,7 +17,7 @@ from planner.claims.segments import Segment
 from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.languages.writing import handshake as handshake_drift
 from planner.languages.writing import layout
 from planner.languages.writing.handshake import handshake_refusals, meeting_rows, stretched
@@ -36,7 +36,7 @@ def require_mass(tool: Tool, needs: str = "a load needs {} kg at least") -> None
     """Raises :class:`TandemError` (``post.tool``) for a tool without mass; ``needs``: what asks for it."""
     if not tool.mass >= LEAST_MASS:
         message = f"tool {tool.name!r} has a mass of {tool.mass} kg; {needs.format(LEAST_MASS)}"
-        raise TandemError(Issue("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more"))
+        raise refusal("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more")
 
 
 def carries(plan: Plan, problem: Problem) -> dict[int, dict[str, layout.Carry]]:
@@ -73,7 +73,7 @@ def _load(plan: Plan, setup: Setup, holder: str) -> layout.Load:
         hint = (
             "give a larger block, or one of a denser foam" if claims else "name the block's foam (stock.foam)"
         )
-        raise TandemError(Issue("post.load", message, arm=holder, hint=f"{hint}, and plan again"))
+        raise refusal("post.load", message, arm=holder, hint=f"{hint}, and plan again")
     claim, size = claims[0], setup.stock.upper - setup.stock.lower
     inertia = claim.mass / 12.0 * (np.sum(size**2) - size**2)
     return layout.Load(setup.number, claim.mass, claim.cog, claim.grip[:3, :3], inertia)
@@ -93,16 +93,14 @@ def build(plan: Plan, problem: Problem) -> layout.Job:
     named = min(len(controller.tasks), len(controller.units), MAX_TASKS)
     if not 1 <= len(arms) <= named:
         got = f"{len(arms)} arms move; the controller has tasks and units for {named}"
-        raise TandemError(
-            Issue("post.tasks", got, hint="name one task and one unit for each arm of the cell")
-        )
+        raise refusal("post.tasks", got, hint="name one task and one unit for each arm of the cell")
     setups = {index: setup for setup in problem.setups for index in setup.operations}
     if len(plan.operations) > len(setups) or len(plan.places) < len(problem.setups):
         message = (
             f"the plan has {len(plan.operations)} operations in {len(plan.places)} setups, the problem "
             f"{len(setups)} in {len(problem.setups)}"
         )
-        raise TandemError(Issue("post.plan", message, hint="plan this problem again"))
+        raise refusal("post.plan", message, hint="plan this problem again")
     handshake = controller.handshake if controller.sync == "handshake" and len(arms) > 1 else None
     if handshake is not None:
         refused = handshake_refusals(problem, [operation.targets for operation in plan.operations])
@@ -505,9 +503,7 @@ def _durations(plan: OperationPlan, keep: IntArray) -> FloatArray:
         i = int(keep[late[0]])
         place = f"operation {plan.name}, target {i} ({plan.targets.name(i)})"
         message = f"{place}: the move takes {duration[late[0]]} s"
-        raise TandemError(
-            Issue("post.plan", message, index=i, hint="every move needs a time above 0.00001 s")
-        )
+        raise refusal("post.plan", message, index=i, hint="every move needs a time above 0.00001 s")
     return np.asarray(duration)
 
 

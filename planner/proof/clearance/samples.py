@@ -12,7 +12,7 @@ from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import FloatArray, IntArray, Shape
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.problem import Setup
 from planner.proof.context import Context
 from planner.proof.kinematics import arm_model, offset_arm, parallel_arm
@@ -99,7 +99,7 @@ def least_distances(
         if first >= MOST_DOUBTED:
             what = f"clearance is in doubt at {len(doubted)} of {count} looks"
             what = f"{what}, at most {MOST_DOUBTED} are measured; split the job"
-            raise TandemError(Issue("verify.duration", what, value=len(doubted), limit=MOST_DOUBTED))
+            raise refusal("verify.duration", what, value=len(doubted), limit=MOST_DOUBTED)
         asked.ask(doubted[first : first + SAMPLES_AT_ONCE])
     order = np.argsort(lower, kind="stable")
     for first in range(0, MOST_NEAREST, SAMPLES_AT_ONCE):

@@ -25,7 +25,7 @@ from planner.catalogue.robots import (
     urdf_path,
 )
 from planner.geometry.arrays import FloatArray, inverse
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.proof.kinematics import offset_arm, parallel_arm, seven_arm
 from planner.proof.kinematics.chain import Chain
 
@@ -393,7 +393,7 @@ class Machine:
         except ValueError as error:
             message = f"the robot {self.data.name}: its URDF {error}"
             hint = "take UR's own URDF with base: base_link and tip: tool0"
-            raise TandemError(Issue(ROBOT_MODEL, message, hint=hint)) from None
+            raise refusal(ROBOT_MODEL, message, hint=hint) from None
 
     @property
     def shape(self) -> ArmShape:
@@ -401,7 +401,7 @@ class Machine:
         for an arm without a spherical wrist."""
         if self.spherical is None:
             message = f"the robot {self.data.name} has no spherical wrist, by which this text names postures"
-            raise TandemError(Issue(ROBOT_MODEL, message, hint="plan with an arm of ABB or KUKA"))
+            raise refusal(ROBOT_MODEL, message, hint="plan with an arm of ABB or KUKA")
         return self.spherical
 
     def flange(self, q: FloatArray) -> FloatArray:
@@ -423,7 +423,7 @@ def machine_of(data: RobotData) -> Machine:
     except (OSError, ValueError) as error:
         message = f"the robot {data.name}: its URDF {error}"
         file = None if path is None else str(path)
-        raise TandemError(Issue(ROBOT_MODEL, message, file=file, hint=hint_of(data))) from None
+        raise refusal(ROBOT_MODEL, message, file=file, hint=hint_of(data)) from None
     return Machine(data, chain, shape)
 
 

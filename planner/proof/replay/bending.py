@@ -16,7 +16,7 @@ import numpy as np
 from planner.claims.claim import FEED_WAY, ArmSags
 from planner.geometry.arrays import FloatArray, IntArray, inverse
 from planner.geometry.units import GRAVITY
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.proof.kinematics.arm_model import Machine
 from planner.proof.kinematics.chain import POSTURES_TOGETHER
 from planner.proof.replay.motion import Instants, Motion, Poses
@@ -298,7 +298,7 @@ def _loaded_way(motion: Motion, name: str, arm: Bent, run: IntArray) -> FloatArr
             return place
     what = f"{name} gives way so far under a force that turns with the feed that its way cannot be told: "
     what += f"after {FEED_ROUNDS} rounds places still move by {1e3 * moved:.3g} mm; take a stiffer arm"
-    raise TandemError(Issue("verify.sag", what, arm=name))
+    raise refusal("verify.sag", what, arm=name)
 
 
 def _gone(place: FloatArray) -> FloatArray:

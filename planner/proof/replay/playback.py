@@ -17,7 +17,7 @@ import numpy as np
 
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, IntArray, inverse
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.problem import Arm
 from planner.programs.stages import JobText, Stage, TaskText
 from planner.programs.steps import MoveStep, Step
@@ -248,7 +248,7 @@ class _Player:
             what += "split the job"
             if np.isfinite(hours):
                 what += f" into {np.ceil(hours / most):.0f} problems or more"
-            raise TandemError(Issue("verify.duration", what, value=hours, limit=most, unit="h"))
+            raise refusal("verify.duration", what, value=hours, limit=most, unit="h")
         samples = max(int(np.ceil(total / SAMPLE_TIME)), 2)
         at = np.linspace(0.0, total, samples + 1)
         node_at = _up_to(at, law.times[1:])

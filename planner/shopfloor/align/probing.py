@@ -19,7 +19,7 @@ import yaml
 from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray, to_rpy
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Arm, Cell
 from planner.reading import strict_yaml
 from planner.reading.problem import read_cell
@@ -141,16 +141,16 @@ def moved_arm(cell: Cell, wanted: str | None, file: str) -> int:
     names = [arm.name for arm in cell.arms]
     if len(names) != 2:
         what = f"the cell has {len(names)} arm, allowed 2: one robot alone needs no alignment"
-        raise TandemError(Issue("align.cell", what, file=file, hint="take a cell of two robots"))
+        raise refusal("align.cell", what, file=file, hint="take a cell of two robots")
     if wanted is not None and wanted not in names:
         what = f"arm: got {wanted!r}, allowed {', '.join(names)}"
-        raise TandemError(Issue("align.cell", what, file=file, hint="name an arm of the cell"))
+        raise refusal("align.cell", what, file=file, hint="name an arm of the cell")
     index = 1 if wanted is None else names.index(wanted)
     if cell.arms[1 - index].base_auto:
         what = f"the base of {names[1 - index]} is itself to be searched (base_auto)"
         hint = "state it, and align the other arm to it"
         field = f"arms.{1 - index}.base_auto"
-        raise TandemError(Issue("align.cell", what, file=file, field=field, hint=hint))
+        raise refusal("align.cell", what, file=file, field=field, hint=hint)
     return index
 
 
@@ -159,7 +159,7 @@ def used_points(points: ProbedPoints, left_out: Sequence[str], file: str) -> Boo
     unknown = [name for name in left_out if name not in points.names]
     if unknown:
         what = f"to leave out: got {', '.join(unknown)}, allowed {', '.join(points.names)}"
-        raise TandemError(Issue("align.file", what, file=file, hint="correct the name"))
+        raise refusal("align.file", what, file=file, hint="correct the name")
     return np.array([name not in left_out for name in points.names], dtype=bool)
 
 
@@ -197,7 +197,7 @@ def require_readable(text: str, output: Path, document: Document) -> None:
     except TandemError as error:
         what = f"the cell cannot be read at {output}: {error.issues[0].message}"
         hint = "write it beside the old one, so that the files it names are found"
-        raise TandemError(Issue("align.cell", what, file=str(output), hint=hint)) from error
+        raise refusal("align.cell", what, file=str(output), hint=hint) from error
 
 
 def _too_far(arm: Arm, title: str, point: str, got: float, most: float, file: str) -> Issue:
@@ -327,13 +327,11 @@ def _plain(data: Any) -> Any:
 
 
 def _refuse(document: Document, index: int, why: str) -> TandemError:
-    return TandemError(
-        Issue(
-            "align.cell",
-            f"the base of arm {index + 1} cannot be rewritten in place: {why}",
-            file=str(document.path),
-            line=document.line(("arms", index, "base")),
-            field=f"arms.{index}.base",
-            hint="write it out, as base: {xyz_mm: [0, 0, 0], rpy_deg: [0, 0, 0]}",
-        )
+    return refusal(
+        "align.cell",
+        f"the base of arm {index + 1} cannot be rewritten in place: {why}",
+        file=str(document.path),
+        line=document.line(("arms", index, "base")),
+        field=f"arms.{index}.base",
+        hint="write it out, as base: {xyz_mm: [0, 0, 0], rpy_deg: [0, 0, 0]}",
     )

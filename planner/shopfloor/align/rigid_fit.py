@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, from_parts
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 
 LEAST_SPREAD: Final = 10.0 * MM
 """Points closer together than this are one place."""
@@ -267,4 +267,4 @@ def _disagreeing_pair(
 
 
 def _refuse(code: str, text: str, hint: str) -> TandemError:
-    return TandemError(Issue(code, text, hint=hint))
+    return refusal(code, text, hint=hint)

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import FloatArray
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 from planner.languages.rapid.reader.program_text import modules_of
 from planner.problem import Arm, Problem
 from planner.programs.stages import TaskText
@@ -142,13 +142,13 @@ def _robots(there: Mapping[str, Mapping[str, str]], context: Context, tasks: Seq
             turn = np.array([float(values[f"base_frame_orient_u{k}"]) for k in range(4)])
         except (KeyError, ValueError) as error:
             what = f"the base frame of {name} cannot be read from MOC ({error})"
-            raise TandemError(Issue("upload.controller", what)) from error
+            raise refusal("upload.controller", what) from error
         if wanted is None:
             out.append(f"the program of {task.arm.name} states no base frame")
             continue
         if not (np.isfinite(place).all() and abs(float(np.linalg.norm(turn)) - 1.0) <= TURN_LENGTH):
             what = f"the base frame of {name} in MOC is none: position {place} m, quaternion {turn}"
-            raise TandemError(Issue("upload.controller", what))
+            raise refusal("upload.controller", what)
         shift, angle = _apart(poses(place, turn), wanted)
         if shift > BASE_SHIFT or angle > BASE_TURN:
             what = (
@@ -190,7 +190,7 @@ def _signals(there: Mapping[str, str], tasks: Sequence[TaskText]) -> list[str]:
                 out.append(what + "where programs/controller/ has it, load that first")
             elif not got:
                 what = f"the type of signal {name} is not told, wanted is {kind}"
-                raise TandemError(Issue("upload.controller", what))
+                raise refusal("upload.controller", what)
             elif got != kind:
                 out.append(f"signal {name} of {task.arm.name} is {got} on the controller, wanted is {kind}")
     return out

@@ -2,7 +2,7 @@
 
 from pathlib import PurePosixPath
 
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.shopfloor.loading.store import Store
 
 MOST_FILES = 10_000
@@ -28,7 +28,7 @@ def folder(store: Store, name: str) -> str:
         if not own
         else f"more than one is there: {', '.join(own)}"
     )
-    raise TandemError(Issue("upload.missing", f"{what}; give the one that is meant by --there"))
+    raise refusal("upload.missing", f"{what}; give the one that is meant by --there")
 
 
 def fetch(store: Store, folder: str) -> dict[str, bytes]:
@@ -40,12 +40,12 @@ def fetch(store: Store, folder: str) -> dict[str, bytes]:
         there = store.listing(f"{folder}/{inner}".rstrip("/"))
         if there is None:
             what = f"{folder}: no such folder on the controller; give the one that upload named by --there"
-            raise TandemError(Issue("upload.missing", what))
+            raise refusal("upload.missing", what)
         for name, deeper in there.items():
             path = f"{inner}/{name}".lstrip("/")
             odd = PurePosixPath(name).name != name or name in (".", "..") or "\\" in name
             if odd or not name.isprintable():
-                raise TandemError(Issue("upload.controller", f"{name!r} is no name of a file in a folder"))
+                raise refusal("upload.controller", f"{name!r} is no name of a file in a folder")
             count += 1
             if deeper:
                 todo.append(path)
@@ -57,7 +57,7 @@ def fetch(store: Store, folder: str) -> dict[str, bytes]:
                     f"{folder}: over {MOST_FILES} files and folders, {MOST_BYTES / 1e6:g} MB or {MOST_DEEP} "
                 )
                 what += "folders within each other are in it; give the one that upload named by --there"
-                raise TandemError(Issue("upload.missing", what))
+                raise refusal("upload.missing", what)
     if not out:
-        raise TandemError(Issue("upload.missing", f"{folder}: no files in it"))
+        raise refusal("upload.missing", f"{folder}: no files in it")
     return out

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import SplitResult, urlsplit
 
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 
 MOST_BYTES = 50_000_000
 """Bytes of an answer that are read at most."""
@@ -41,12 +41,12 @@ class Trust:
         Raises ``TandemError`` (``upload.address``)."""
         if self.fingerprint is not None and not re.fullmatch(r"[0-9a-f]{64}", _plain(self.fingerprint)):
             what = f"--fingerprint: got {self.fingerprint}, allowed are 64 hexadecimal digits (SHA-256)"
-            raise TandemError(Issue("upload.address", what, field="fingerprint"))
+            raise refusal("upload.address", what, field="fingerprint")
         try:
             context = ssl.create_default_context(cafile=None if not self.authority else str(self.authority))
         except OSError as error:
             what = f"the file of certificates {self.authority} cannot be used ({error})"
-            raise TandemError(Issue("upload.address", what, field="ca")) from error
+            raise refusal("upload.address", what, field="ca") from error
         if self.fingerprint is not None:
             context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
         return context
@@ -60,7 +60,7 @@ class Trust:
         if got != wanted:
             what = f"the certificate of {url} has SHA-256 {got}, --fingerprint names {wanted}"
             hint = "compare it with the controller's own before you trust it"
-            raise TandemError(Issue("upload.login", what, hint=hint))
+            raise refusal("upload.login", what, hint=hint)
 
 
 def _plain(fingerprint: str) -> str:
@@ -76,10 +76,10 @@ def address(url: str) -> SplitResult:
         _ = parts.port  # asked later: from 0 to 65535
     except ValueError as error:
         what = f"got {url}, which is no URL ({error}); allowed: http://HOST[:PORT], ftp://HOST[:PORT]/FOLDER"
-        raise TandemError(Issue("upload.address", what, field="controller")) from error
+        raise refusal("upload.address", what, field="controller") from error
     if parts.username or parts.password:
         what = "a URL must hold no user or password; use --user and TANDEM_CONTROLLER_PASSWORD"
-        raise TandemError(Issue("upload.address", what))
+        raise refusal("upload.address", what)
     return parts
 
 
@@ -106,10 +106,10 @@ class Link:
         parts = address(self.url)
         if parts.scheme not in ("http", "https") or not parts.hostname or parts.path not in ("", "/"):
             what = f"got {self.url}, allowed: http://HOST[:PORT] or https://HOST[:PORT]"
-            raise TandemError(Issue("upload.address", what, field="controller"))
+            raise refusal("upload.address", what, field="controller")
         if self.basic and parts.scheme != "https":
             what = "RWS 2.0 sends the password as it is, so it is used by https alone; give https://HOST"
-            raise TandemError(Issue("upload.address", what, field="controller"))
+            raise refusal("upload.address", what, field="controller")
         self._connection = self._connect(parts.scheme, parts.hostname, parts.port)
         self._cookie, self._challenge, self._count = "", dict[str, str](), 0
 
@@ -140,7 +140,7 @@ class Link:
             answer, _ = self._once(method, path, body, headers or {})
         if answer.status == 401:
             what = f"{self.url} refuses user {self.login.user!r} (HTTP 401 at {path})"
-            raise TandemError(Issue("upload.login", what, hint="give --user and the right password"))
+            raise refusal("upload.login", what, hint="give --user and the right password")
         return answer
 
     def _once(
@@ -165,7 +165,7 @@ class Link:
         except ssl.SSLCertVerificationError as error:
             what = f"the certificate of {self.url} is not trusted ({error.verify_message})"
             hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have compared"
-            raise TandemError(Issue("upload.login", what, hint=hint)) from error
+            raise refusal("upload.login", what, hint=hint) from error
         except (OSError, http.client.HTTPException) as error:
             self._connection.close()
             name = "no answer in time" if isinstance(error, TimeoutError) else type(error).__name__
@@ -174,16 +174,14 @@ class Link:
                 what = f"{method} {self.url}{path}: the answer broke off behind {len(error.partial)} bytes, "
                 what += f"{error.expected or 'some'} before its end"
             hint = "see that the controller is on and reachable, and try again"
-            raise TandemError(Issue("upload.controller", what, hint=hint)) from error
+            raise refusal("upload.controller", what, hint=hint) from error
         except ValueError as error:  # headers that no request may have
             self._connection.close()
             what = f"user {self.login.user!r} cannot log in by HTTP ({error})"
-            raise TandemError(
-                Issue("upload.login", what, hint="give --user as the controller has it")
-            ) from error
+            raise refusal("upload.login", what, hint="give --user as the controller has it") from error
         if len(content) > MOST_BYTES:
             self._connection.close()
-            raise TandemError(Issue("upload.controller", f"{path}: over {MOST_BYTES} bytes came back"))
+            raise refusal("upload.controller", f"{path}: over {MOST_BYTES} bytes came back")
         kept = [value.split(";")[0] for value in response.headers.get_all("Set-Cookie") or ()]
         self._cookie = "; ".join(kept) or self._cookie
         asked = response.headers.get("WWW-Authenticate", "")

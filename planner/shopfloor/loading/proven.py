@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from planner.files import RELEASE, STATEMENT, write_whole
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.problem import Arm, Problem
 from planner.programs import text as program_text
 from planner.programs.stages import CONTROLLER
@@ -136,24 +136,24 @@ def chosen(proven: Proven, arm: str | None) -> tuple[tuple[Arm, ...], dict[str, 
     names = [one.name for one in cell.arms]
     if any(one.data.family == "ROS" for one in cell.arms):
         what = "trajectories are not sent by this; the runner (integrations/ros2) goes through their file"
-        raise TandemError(Issue("upload.address", what, arm=arm))
+        raise refusal("upload.address", what, arm=arm)
     if any(one.data.family == "UR" for one in cell.arms if arm in (None, one.name)):
         what = "programs of UR arms are not sent by this; load them by a share or USB stick"
-        raise TandemError(Issue("upload.address", what, arm=arm))
+        raise refusal("upload.address", what, arm=arm)
     if arm is not None and arm not in names:
         what = f"--arm: got {arm}, the cell has {', '.join(names)}"
-        raise TandemError(Issue("upload.address", what, field="arm"))
+        raise refusal("upload.address", what, field="arm")
     apart = len(names) > 1 and (
         cell.controller.sync == "handshake" or any(a.data.family == "KUKA" for a in cell.arms)
     )
     if not apart:
         if arm is not None and len(names) > 1:
             what = f"--arm: got {arm}, but one controller moves {' and '.join(names)}; leave --arm out"
-            raise TandemError(Issue("upload.address", what, field="arm"))
+            raise refusal("upload.address", what, field="arm")
         return cell.arms, dict(proven.files)
     if arm is None:
         what = f"each arm has a controller of its own; say by --arm which is meant: {', '.join(names)}"
-        raise TandemError(Issue("upload.address", what, field="arm"))
+        raise refusal("upload.address", what, field="arm")
     files = {name: content for name, content in proven.files.items() if _of(name, arm)}
     return (cell.arm(arm),), files
 
@@ -170,8 +170,8 @@ def folder_name(problem: Problem) -> str:
 
 
 def _not_released(path: Path, what: str, hint: str) -> TandemError:
-    return TandemError(Issue("upload.release", what, file=str(path), hint=hint))
+    return refusal("upload.release", what, file=str(path), hint=hint)
 
 
 def _refused(path: Path, what: str, hint: str) -> TandemError:
-    return TandemError(Issue("upload.unproven", what, file=str(path), hint=hint))
+    return refusal("upload.unproven", what, file=str(path), hint=hint)

@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode, urljoin, urlsplit
 
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.shopfloor.loading.http_link import Answer, Link
 
 MOST_PAGES = 500
@@ -65,9 +65,7 @@ class Rws:
         path = "/rw/system/options"
         out = tuple(str(one["option"]) for one in self._items(path) if "option" in one)
         if not out:
-            raise TandemError(
-                Issue("upload.controller", f"{path}: no option is told; each controller has some")
-            )
+            raise refusal("upload.controller", f"{path}: no option is told; each controller has some")
         return out
 
     @property
@@ -115,7 +113,7 @@ class Rws:
         if answer.status not in (200, 204):
             what = f"mastership of RAPID is refused ({_why(answer)}): somebody else holds it"
             hint = "let go of it at the pendant or in RobotStudio, and try again"
-            raise TandemError(Issue("upload.busy", what, hint=hint))
+            raise refusal("upload.busy", what, hint=hint)
 
     def release(self) -> bool:
         """Give mastership back; whether the controller says so."""
@@ -211,7 +209,7 @@ class Rws:
             out += _all(data)
             link, base = (_link(data, name) for name in ("next", "base"))
             following = None if not link else self._next(link, base, path)
-        raise TandemError(Issue("upload.controller", f"{path}: over {MOST_PAGES} pages"))
+        raise refusal("upload.controller", f"{path}: over {MOST_PAGES} pages")
 
     def _named(self, path: str, kind: str) -> dict[str, dict[str, Any]]:
         """Entries of a list that are of a kind, by their names. Raises ``TandemError`` where one has none,
@@ -223,7 +221,7 @@ class Rws:
             what = (
                 f"{path}: a {kind} there has no name" if bad is not None else f"{path}: no {kind} in the list"
             )
-            raise TandemError(Issue("upload.controller", what))
+            raise refusal("upload.controller", what)
         return {one["name"]: one for one in own}
 
     def _next(self, link: str, base: str | None, path: str) -> str:
@@ -233,10 +231,10 @@ class Rws:
             start = urljoin(f"{self.link.url}/", base or f"{path.partition('?')[0].rpartition('/')[0]}/")
             whole = urlsplit(urljoin(start, html.unescape(link)))
         except ValueError as error:
-            raise TandemError(Issue("upload.controller", f"{path}: {link!r} is no next page")) from error
+            raise refusal("upload.controller", f"{path}: {link!r} is no next page") from error
         kept = [(k, v) for k, v in parse_qsl(whole.query) if k != "json"]
         if base is None and whole.netloc != urlsplit(self.link.url).netloc:
-            raise TandemError(Issue("upload.controller", f"{path}: the next page is elsewhere ({link})"))
+            raise refusal("upload.controller", f"{path}: the next page is elsewhere ({link})")
         return whole.path + (f"?{urlencode(kept)}" if kept else "")
 
     def _value(self, path: str, key: str) -> str:
@@ -259,13 +257,13 @@ class Rws:
         elif 300 <= answer.status < 400:
             what = f"{self.link.url}{path}: {_why(answer)} leads elsewhere, where no password is sent"
             hint = "give the controller's own address; RobotWare 7 is reached by https://"
-        return TandemError(Issue("upload.controller", what, hint=hint))
+        return refusal("upload.controller", what, hint=hint)
 
     def _unwritten(self, name: str, answer: Answer) -> TandemError:
         full = answer.status == 507 or b"space" in answer.body.lower() or b"full" in answer.body.lower()
         what = f"{name} is not written: {_why(answer)}" + ("; the controller's disk is full" if full else "")
         hint = "make room on the controller, then send again" if full else "see the rights of the user there"
-        return TandemError(Issue("upload.write", what, hint=hint))
+        return refusal("upload.write", what, hint=hint)
 
 
 def _link(data: dict[str, Any], name: str) -> str | None:

@@ -14,7 +14,7 @@ from typing import Final, Protocol
 from urllib.parse import unquote
 
 from planner.files import is_disk_full
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.shopfloor.loading.http_link import MOST_BYTES, Login, Trust, address
 
 _UNIX: Final = re.compile(
@@ -52,7 +52,7 @@ class Share:
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
             what = f"{root}: no such folder; mount the controller's share, or give the right one"
-            raise TandemError(Issue("upload.controller", what))
+            raise refusal("upload.controller", what)
         self.root = root
 
     def listing(self, folder: str) -> dict[str, bool] | None:
@@ -104,7 +104,7 @@ class Share:
 
 def _unread(path: Path, error: OSError) -> TandemError:
     what = f"{path} cannot be read ({error.strerror or error})"
-    return TandemError(Issue("upload.controller", what, hint="see that the share is mounted, and the rights"))
+    return refusal("upload.controller", what, hint="see that the share is mounted, and the rights")
 
 
 WIRE: Final = "latin-1"
@@ -127,7 +127,7 @@ def _wire(text: str) -> str:
     commands of their own."""
     if any(ord(letter) < 32 for letter in text):
         what = "names, users and passwords of FTP have no control characters, such as ends of lines"
-        raise TandemError(Issue("upload.address", what))
+        raise refusal("upload.address", what)
     return text.encode("utf-8", "surrogateescape").decode(WIRE)
 
 
@@ -151,7 +151,7 @@ class Ftp:
     def __init__(self, url: str, login: Login, timeout: float, trust: Trust | None = None) -> None:
         parts = address(url)
         if not parts.hostname:
-            raise TandemError(Issue("upload.address", f"got {url}, allowed: ftp://HOST[:PORT]/FOLDER"))
+            raise refusal("upload.address", f"got {url}, allowed: ftp://HOST[:PORT]/FOLDER")
         self._url = f"{parts.scheme}://{parts.hostname}"
         link = (
             self._secure(trust or Trust(), timeout)
@@ -170,15 +170,15 @@ class Ftp:
             self._root = _text(link.pwd()).rstrip("/")
         except ftplib.error_perm as error:
             what = f"{url}: user {login.user!r} or the folder is refused ({_told(error)[:60]})"
-            raise TandemError(Issue("upload.login", what)) from error
+            raise refusal("upload.login", what) from error
         except ssl.SSLCertVerificationError as error:
             what = f"the certificate of {self._url} is not trusted ({error.verify_message})"
             hint = "give --ca FILE, or --fingerprint SHA256 for a self-signed one that you have compared"
-            raise TandemError(Issue("upload.login", what, hint=hint)) from error
+            raise refusal("upload.login", what, hint=hint) from error
         except ftplib.all_errors as error:
             what = f"{url} cannot be reached ({_told(error)}), waited up to {timeout:g} s"
             hint = "see that the server is on and reachable, and try again"
-            raise TandemError(Issue("upload.controller", what, hint=hint)) from error
+            raise refusal("upload.controller", what, hint=hint) from error
         self._link = link
 
     def _secure(self, trust: Trust, timeout: float) -> _Channel:
@@ -224,7 +224,7 @@ class Ftp:
             found = _UNIX.match(line) or _DOS.match(line)
             if found is None:
                 what = f"{self._url}{path}: a line of its list of files cannot be read: {line[:80]!r}"
-                raise TandemError(Issue("upload.controller", what))
+                raise refusal("upload.controller", what)
             if found["name"] not in (".", ".."):
                 out[found["name"]] = found["folder"] in ("d", "<DIR>")
         return out
@@ -251,7 +251,7 @@ class Ftp:
             if out.tell() + len(part) > MOST_BYTES:
                 self.close()  # the rest of it is not waited for
                 what = f"{self._url}{self._path(name)}: over {MOST_BYTES} bytes came back"
-                raise TandemError(Issue("upload.controller", what))
+                raise refusal("upload.controller", what)
             out.write(part)
 
         try:
@@ -284,9 +284,7 @@ class Ftp:
 
     def _gone(self, path: str, error: Exception) -> TandemError:
         what = f"{self._url}{path}: {_told(error)}"
-        return TandemError(
-            Issue("upload.controller", what, hint="see that the server answers, and try again")
-        )
+        return refusal("upload.controller", what, hint="see that the server answers, and try again")
 
 
 def _unwritten(name: str, error: Exception) -> TandemError:
@@ -296,4 +294,4 @@ def _unwritten(name: str, error: Exception) -> TandemError:
     hint = (
         "make room there, then send again" if full else "see the room and the rights there, then send again"
     )
-    return TandemError(Issue("upload.write", what, hint=hint))
+    return refusal("upload.write", what, hint=hint)

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 from planner.programs import text
 from planner.shopfloor.loading import compare, krc
 from planner.shopfloor.loading.proven import Proven, chosen, folder_name
@@ -36,9 +36,7 @@ def to_controller(rws: Rws, proven: Proven, arm: str | None = None) -> Sent:
     where the controller is not as planned nothing is written."""
     arms, files = chosen(proven, arm)
     if any(one.data.family == "KUKA" for one in arms):
-        raise TandemError(
-            Issue("upload.address", "KRL goes to a folder or ftp://, not to Robot Web Services")
-        )
+        raise refusal("upload.address", "KRL goes to a folder or ftp://, not to Robot Web Services")
     _stands(rws)
     texts = {name: text.decode(content, name) for name, content in proven.files.items()}
     found = compare.compare(rws, proven.problem, texts, arms)
@@ -74,11 +72,11 @@ def _stands(rws: Rws) -> None:
     mode, running = rws.mode, rws.execution
     if running != "stopped":
         what = f"RAPID execution is {running!r}, allowed is 'stopped'; nothing was written"
-        raise TandemError(Issue("upload.busy", what, hint="stop the program at the panel, then send again"))
+        raise refusal("upload.busy", what, hint="stop the program at the panel, then send again")
     if mode != "AUTO":
         what = f"the controller is in mode {mode}, allowed is AUTO; nothing was written"
         hint = "in manual whoever holds the pendant may change programs: close the gate, turn to AUTO"
-        raise TandemError(Issue("upload.busy", what, hint=hint))
+        raise refusal("upload.busy", what, hint=hint)
 
 
 def put(store: Store, name: str, files: Mapping[str, bytes]) -> str:
@@ -87,13 +85,13 @@ def put(store: Store, name: str, files: Mapping[str, bytes]) -> str:
     and named where that fails too. Raises ``TandemError``."""
     there = store.listing("")
     if there is None:
-        raise TandemError(Issue("upload.controller", "the home folder of the controller is not there"))
+        raise refusal("upload.controller", "the home folder of the controller is not there")
     taken = {one.lower() for one in there}
     names = [name, *(f"{name}_{k}" for k in range(2, MOST_FOLDERS + 1))]
     folder = next((one for one in names if one.lower() not in taken), None)
     if folder is None:
         what = f"{MOST_FOLDERS} folders {name} are there; take old ones away at the controller"
-        raise TandemError(Issue("upload.write", what))
+        raise refusal("upload.write", what)
     made: list[str] = []
     try:
         store.make(folder)  # noted behind: what somebody else made meanwhile is not ours to take away
@@ -127,7 +125,7 @@ def _same(name: str, sent: bytes, back: bytes | None) -> None:
     if back is not None and len(back) == len(sent):
         at = next(k for k, (a, b) in enumerate(zip(sent, back, strict=True)) if a != b)
         what = f"{name}: byte {at} came back otherwise than it was sent"
-    raise TandemError(Issue("upload.write", what))
+    raise refusal("upload.write", what)
 
 
 def _cleaned(store: Store, made: Sequence[str]) -> list[str]:

@@ -23,7 +23,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, unit
 from planner.geometry.curves import arc_length
 from planner.geometry.mesh_queries import Nearness
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.processes.forming.plan.contact import Pass, ToolPath
 from planner.processes.forming.plan.operation import Springback
 from planner.processes.forming.plan.process_plan import Work
@@ -101,7 +101,7 @@ def adjusted(
             "no pass forms the wanted face where it is in the part, so a scan says nothing of where tools go"
         )
         hint = "form with strategy: in_place, or adjust the part's file by hand"
-        raise TandemError(Issue("scan.other_part", what, hint=hint))
+        raise refusal("scan.other_part", what, hint=hint)
     require_limits([one.way for one in out], limits.slope, limits.most_mm * MM)
     return tuple(out)
 
@@ -162,7 +162,7 @@ def _require_seen(one: Pass, seen: BoolArray, contact: FloatArray) -> None:
         f"{100.0 * LEAST_SEEN:g} % or more; nothing is known at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
     )
     hint = "scan the part from more sides, with spray where it is bright"
-    raise TandemError(Issue("scan.hole", what, value=100.0 * float(seen.mean()), unit="%", hint=hint))
+    raise refusal("scan.hole", what, value=100.0 * float(seen.mean()), unit="%", hint=hint)
 
 
 def text(

@@ -18,7 +18,7 @@ import numpy as np
 from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import LENGTH_UNITS, MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 
 SUFFIXES: Final = (".ply", ".xyz", ".txt", ".stl", ".obj")
 """Kinds of files that are read."""
@@ -151,8 +151,8 @@ def require_size(cloud: Cloud, longest: float) -> None:
         like = [name for name, one in UNITS.items() if 0.8 <= extent * one / cloud.unit / longest <= 1.25]
         what += f"; in {like[0]!r} it would be about as large" if len(like) == 1 else ""
         hint = "state the unit that the scanner writes (--unit), or name the result folder of this part"
-        raise TandemError(Issue("scan.unit", what, field="unit", value=extent / MM, unit="mm", hint=hint))
+        raise refusal("scan.unit", what, field="unit", value=extent / MM, unit="mm", hint=hint)
 
 
 def _refused(path: Path, what: str, hint: str) -> TandemError:
-    return TandemError(Issue("scan.file", f"{path.name}: {what}", file=str(path), hint=hint))
+    return refusal("scan.file", f"{path.name}: {what}", file=str(path), hint=hint)

@@ -20,7 +20,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengt
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, small_pieces
 from planner.geometry.mesh_queries import Nearness
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, refusal
 from planner.problem import Part
 from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.scan.cloud import Cloud, require_size
@@ -145,7 +145,7 @@ def of_part(
     """
     if part is None or part.formed is None:
         what = "the part of this problem is not formed of a sheet: a scan has nothing to be held against"
-        raise TandemError(Issue("scan.other_part", what, hint="name the result folder of a forming job"))
+        raise refusal("scan.other_part", what, hint="name the result folder of a forming job")
     mesh = part.formed.mesh
     level = float(size[2]) if top else 0.0
     face = TriangleMesh(mesh.vertices + np.array([0.0, 0.0, level]), np.asarray(mesh.faces))
@@ -184,7 +184,7 @@ def deviation(points: FloatArray, pose: Pose, face: TriangleMesh, level: float) 
     if known.mean() < LEAST_SHARE:
         share = f"{100.0 * known.mean():.0f} % of the wanted face"
         what = f"the scan shows {share}, allowed {100.0 * LEAST_SHARE:g} % or more"
-        raise TandemError(Issue("scan.other_part", what, hint="scan the whole part, from the side of --face"))
+        raise refusal("scan.other_part", what, hint="scan the whole part, from the side of --face")
     _require_shape(place[known], normal[known], off[known], level)
     nearest = np.flatnonzero(known)[KDTree(place[known]).query(foot)[1]]
     # what comes back may change by as much as the way along the wall: a place's is none of a foot's
@@ -356,7 +356,7 @@ def _require_part(
     if like:
         what += f"; mirrored along {axis} it would be {turned / MM:.2f} mm off"
         hint = "look for an axis with the wrong sign in scan and marks, or swapped columns"
-    raise TandemError(Issue("scan.other_part", what, hint=hint))
+    raise refusal("scan.other_part", what, hint=hint)
 
 
 def _require_shape(place: FloatArray, normal: FloatArray, off: FloatArray, level: float) -> None:
@@ -378,9 +378,7 @@ def _require_shape(place: FloatArray, normal: FloatArray, off: FloatArray, level
         "it lies beside its place"
     )
     hint = "name the result folder of the part that was scanned, give marks, or measure them again"
-    raise TandemError(
-        Issue("scan.other_part", what, value=100.0 * share, limit=100.0 * MOST_SPREAD, hint=hint)
-    )
+    raise refusal("scan.other_part", what, value=100.0 * share, limit=100.0 * MOST_SPREAD, hint=hint)
 
 
 def _mirrored(face: TriangleMesh, points: FloatArray, level: float) -> tuple[float, str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, lengths
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, refusal
 from planner.shopfloor.scan.deviation import Deviation
 from planner.shopfloor.scan.registration import AGREE, Pose
 
@@ -136,4 +136,4 @@ def require_place(found: Deviation, pose: Pose, file: str) -> None:
     )
     hint = f"{NEEDED}; of a scanner that is calibrated to the sheet's frame they are the same in both frames"
     value, limit = float(np.hypot(*seen.move)) / MM, SIDEWAYS / MM
-    raise TandemError(Issue("scan.no_marks", what, value=value, limit=limit, unit="mm", hint=hint))
+    raise refusal("scan.no_marks", what, value=value, limit=limit, unit="mm", hint=hint)

@@ -24,7 +24,7 @@ from planner.geometry.arrays import (
     transform,
 )
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.shopfloor.align.probing import ProbedPoints
 from planner.shopfloor.align.rigid_fit import align, bad_points
 
@@ -221,7 +221,7 @@ def _no_flat(
     limit: float,
     hint: str = "scan the flat around the part too, say which face is scanned (--face), give marks (--marks)",
 ) -> TandemError:
-    return TandemError(Issue("scan.flat", what, value=got, limit=limit, hint=hint))
+    return refusal("scan.flat", what, value=got, limit=limit, hint=hint)
 
 
 def told(pose: Pose) -> str:

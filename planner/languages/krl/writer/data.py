@@ -18,7 +18,7 @@ import numpy as np
 from planner.catalogue.robots import RobotData
 from planner.cell.kinematics import forward
 from planner.geometry.arrays import FloatArray, IntArray, from_parts, inverse
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.languages.krl.writer.syntax import NAME_LENGTH, aggregate, e6axis, e6pos, frame, name, written
 from planner.languages.writing.layout import Joints, Load, OperationProgram, TaskProgram, number
 from planner.languages.writing.steps import require_mass
@@ -111,7 +111,7 @@ class Data:
         line = f"DECL {kind} {word}={value}"
         if self.lines.setdefault(word, line) != line:
             message = f"two things of arm {self.task.arm.name} would be called {word}"
-            raise TandemError(Issue("post.name", message, hint="give the tool another name"))
+            raise refusal("post.name", message, hint="give the tool another name")
         return word
 
     def tool(self, tool: Tool) -> str:
@@ -147,7 +147,7 @@ class Data:
             place = self.plan.places[operation.setup - 1]
             return foot @ place, "b_stock" if operation.setup == 1 else f"b_stock_{operation.setup}"
         message = f"targets of {self.task.arm.name} lie in {kind!r}, which KRL has no base for"
-        raise TandemError(Issue("post.frame", message, hint="allowed: stock, world"))
+        raise refusal("post.frame", message, hint="allowed: stock, world")
 
     def joint(self, step: Joints, operation: int) -> str:
         """Name of the joints of a step of an operation, counted from 1."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, from_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.languages.krl import sentences as krl_sentences
 from planner.languages.writing.layout import (
     POSITION_DECIMALS,
@@ -68,7 +68,7 @@ def name(text: str, length: int = NAME_LENGTH) -> str:
     out = re.sub(r"[^a-z0-9]+", "_", plain(text).lower()).strip("_")[:length].rstrip("_")
     if not re.match(r"[a-z]", out) or out in RESERVED:
         message = f"{text!r} cannot name anything in KRL (it gives {out!r})"
-        raise TandemError(Issue("post.name", message, hint="a letter first, no reserved word"))
+        raise refusal("post.name", message, hint="a letter first, no reserved word")
     return out
 
 
@@ -318,7 +318,7 @@ def _parts(text: str) -> list[str]:
         got = f"{word[:20]}... of {len(word)} characters" if len(word) > TEXT_LENGTH else repr(flat)
         what = f"the panel of a KUKA controller cannot show {got}"
         hint = f"give names of at most {TEXT_LENGTH} characters, without quotes and %"
-        raise TandemError(Issue("post.name", what, hint=hint))
+        raise refusal("post.name", what, hint=hint)
     return textwrap.wrap(flat, TEXT_LENGTH, break_on_hyphens=False, break_long_words=False)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from planner.geometry.arrays import FloatArray, to_quaternion
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.languages.rapid import sentences as rapid_sentences
 from planner.languages.rapid.writer.syntax import identifier, jointtarget, own_zones, pose, quoted, vector
 from planner.languages.writing import layout
@@ -173,11 +173,11 @@ def _wobjs(task: layout.TaskProgram, job: layout.Job, plan: Plan) -> list[str]:
             holder = next((t for t in job.tasks if t.arm.name == frame.removeprefix("held:")), None)
             if holder is None:
                 message = f"targets of {task.arm.name} lie in {frame!r}, but that arm has no program"
-                raise TandemError(Issue("post.frame", message, hint="name an arm that takes part"))
+                raise refusal("post.frame", message, hint="name an arm that takes part")
             data = _held(holder, holder.operations[index])
         else:
             message = f"targets of {task.arm.name} lie in the unknown frame {frame!r}"
-            raise TandemError(Issue("post.frame", message, hint="allowed: stock, world, held:<arm>"))
+            raise refusal("post.frame", message, hint="allowed: stock, world, held:<arm>")
         out[wobj_name(frame, operation.setup)] = data
     return [f"TASK PERS wobjdata {name}:={data};" for name, data in out.items()]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.catalogue.robots import OffsetParameters
 from planner.claims import sentences
 from planner.claims.sentences import HEADER, UNANSWERED
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.languages.rapid.writer import data as rapid_data
 from planner.languages.rapid.writer.data import (
     ENTRY_SPEED_NAME,
@@ -223,7 +223,7 @@ class _Task:
         )
         if double:
             message = f"two things of task {self.task.task} would be called {double[0]}"
-            raise TandemError(Issue("post.name", message, hint="give the segment or tool another name"))
+            raise refusal("post.name", message, hint="give the segment or tool another name")
 
     def _module(self, name: str, lines: Sequence[str]) -> str:
         inside = [f"{_INDENT}{line}" if line else "" for line in [*self._header(), "", *lines]]

@@ -19,7 +19,7 @@ from planner.claims.segments import Segment, fold
 from planner.claims.sentences import HEADER
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, to_quaternion
 from planner.geometry.corner_rounding import FINE_ZONES
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.languages.writing.layout import TRACK_COLUMN, Outer, Part, Track, number, plain, short
 from planner.languages.writing.refusals import alike
 from planner.problem import OUTER_DECIMALS
@@ -90,7 +90,7 @@ def identifier(text: str) -> str:
     if not re.match(r"[A-Za-z]", name) or len(name) > NAME_LENGTH - 4 or name.lower() in RESERVED:
         message = f"{text!r} cannot name anything in RAPID (it gives {name!r})"
         hint = f"a letter first, at most {NAME_LENGTH - 4} characters, no reserved word"
-        raise TandemError(Issue("post.name", message, hint=hint))
+        raise refusal("post.name", message, hint=hint)
     return name
 
 
@@ -155,7 +155,7 @@ def procedure(segment: Segment) -> str:
     full = f"{kind}{LONG_KIND_MARK}{name[len(kind) :]}"
     if len(full) > NAME_LENGTH - 4:
         message = f"segment {str(segment)!r} would be called {full}, which is too long"
-        raise TandemError(Issue("post.name", message, hint=f"allowed: {NAME_LENGTH - 4} characters"))
+        raise refusal("post.name", message, hint=f"allowed: {NAME_LENGTH - 4} characters")
     return full
 
 
@@ -168,9 +168,7 @@ def _name(segment: Segment, visits: dict[str, int], known: dict[str, Segment]) -
     full = name if visits[name] == 1 else f"{name}__{visits[name]}"
     if len(full) > NAME_LENGTH:
         message = f"segment {str(segment)!r} comes {visits[name]} times, and {full} is too long for a name"
-        raise TandemError(
-            Issue("post.name", message, hint=f"shorten the label; allowed: {NAME_LENGTH} characters")
-        )
+        raise refusal("post.name", message, hint=f"shorten the label; allowed: {NAME_LENGTH} characters")
     return full
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from planner.claims import sentences
 from planner.geometry.arrays import FloatArray, IntArray, log_rotation
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.languages.trajectories.writer import rows
 from planner.languages.trajectories.writer.beginnings import settling_time, way_time
 from planner.languages.trajectories.writer.clocks import passed, spliced
@@ -225,7 +225,7 @@ class _Main:
                 f"operation {lead.name}: on the way to target {first + lost.row + 1} ({segment}): {lost.why}"
             )
             hint = _helps(targets, int(lead.targets[first + lost.row]), lost.share)
-            raise TandemError(Issue("post.trajectory", message, arm=arms[0], hint=hint)) from None
+            raise refusal("post.trajectory", message, arm=arms[0], hint=hint) from None
         self.runs.setdefault(runs[0].operation, []).append((lead.targets[some], passed(driven[0], q, made)))
         begun = self._move(arms)
         labels = [layout.mark(lead.segments[first + row]) for row in made.end[1:].tolist()]

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from planner.geometry.arrays import FloatArray, log_rotation
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.languages.writing.layout import LINE_END, number, plain
 
 VERSION: Final = 2
@@ -49,7 +49,7 @@ def name(value: str) -> str:
     if NAME.fullmatch(value) is None:
         message = f"{value!r} cannot name anything in a trajectory file"
         hint = "a letter, then letters, digits and _ / . -, 100 at most"
-        raise TandemError(Issue("post.name", message, hint=hint))
+        raise refusal("post.name", message, hint=hint)
     return value
 
 

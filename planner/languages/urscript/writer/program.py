@@ -28,7 +28,7 @@ from planner.cell.kinematics import forward
 from planner.claims import sentences
 from planner.claims.handshake import PartnerSignals
 from planner.geometry.arrays import BoolArray, FloatArray, from_rpy, inverse
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.languages.urscript import sentences as urscript_sentences
 from planner.languages.urscript.writer import syntax
 from planner.languages.urscript.writer.meetings import (
@@ -90,7 +90,7 @@ def controller_base(arm: Arm) -> FloatArray:
     if wrong or not isinstance(form, ParallelParameters):
         message = f"arm {arm.name} ({arm.robot}) is no arm that a UR controller moves: {wrong}"
         hint = "take UR's own URDF with base: base_link and tip: tool0, or family: generic"
-        raise TandemError(Issue("post.ur_arm", message, arm=arm.name, hint=hint))
+        raise refusal("post.ur_arm", message, arm=arm.name, hint=hint)
     turn = from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, np.pi - float(form.offsets[0])])
     return turn if form.left is None else np.asarray(form.left @ turn)
 
@@ -299,13 +299,13 @@ class _Main:
                 "nothing would take the power when the other program stops then"
             )
             hint = "switch it off before the question, and on behind it"
-            raise TandemError(Issue("post.handshake_process", message, arm=self.task.arm.name, hint=hint))
+            raise refusal("post.handshake_process", message, arm=self.task.arm.name, hint=hint)
         return [f"{syntax.WATCHING} = run {syntax.WATCH}()" if on else f"kill {syntax.WATCHING}"]
 
     def _declare(self, word: str, value: str) -> str:
         if self.data.setdefault(word, value) != value:
             message = f"two things of arm {self.task.arm.name} would be called {word}"
-            raise TandemError(Issue("post.name", message, hint="give the tool another name"))
+            raise refusal("post.name", message, hint="give the tool another name")
         return word
 
     def _operation(self, index: int, operation: layout.OperationProgram) -> list[str]:
@@ -385,7 +385,7 @@ class _Main:
             word = "b_stock" if operation.setup == 1 else f"b_stock_{operation.setup}"
             return self._declare(word, syntax.pose(place))
         message = f"targets of {self.task.arm.name} lie in {kind!r}, which URScript has no frame for"
-        raise TandemError(Issue("post.frame", message, hint="allowed: stock, world"))
+        raise refusal("post.frame", message, hint="allowed: stock, world")
 
     def _action(self, action: Action, asks: bool) -> list[str]:
         match action.kind:
@@ -411,7 +411,7 @@ class _Main:
         found = self.problem.cell.controller.number(self.task.arm.name, signal)
         if found is None:
             message = f"the cell gives no number of {signal} on the controller of {self.task.arm.name}"
-            raise TandemError(Issue("post.signal", message, arm=self.task.arm.name))
+            raise refusal("post.signal", message, arm=self.task.arm.name)
         return found
 
     def _run(self, run: layout.Run, operation: layout.OperationProgram) -> list[str]:
@@ -428,7 +428,7 @@ class _Main:
                 "or hardly moves"
             )
             hint = "let the motion stop there, or choose another TCP or cut, so that the tool has a way"
-            raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, target=place, hint=hint))
+            raise refusal("post.blend", message, arm=self.task.arm.name, target=place, hint=hint)
         seconds = layout.short(float(track.duration[some].sum()), 2)
         out: list[str] = []
         if self.torch is not None and self.lit and not self.guarded:
@@ -456,7 +456,7 @@ class _Main:
         if out[:1].any():
             message = f"operation {operation.name}: arm {self.task.arm.name} stands still in its first move"
             hint = "let both arms move from the first target on"
-            raise TandemError(Issue("post.blend", message, arm=self.task.arm.name, hint=hint))
+            raise refusal("post.blend", message, arm=self.task.arm.name, hint=hint)
         return out
 
 

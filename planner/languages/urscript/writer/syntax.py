@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, from_quaternion, log_rotation
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.languages.writing.layout import Track, number, plain, short
 
 NAME_LENGTH: Final = 32
@@ -69,7 +69,7 @@ def name(text: str, length: int = NAME_LENGTH) -> str:
     out = re.sub(r"[^a-z0-9]+", "_", plain(text).lower()).strip("_")[:length].rstrip("_")
     if not re.match(r"[a-z]", out) or out in RESERVED or re.fullmatch(ARC_NAMES, out):
         message = f"{text!r} cannot name anything in URScript (it gives {out!r})"
-        raise TandemError(Issue("post.name", message, hint="a letter first, no reserved word"))
+        raise refusal("post.name", message, hint="a letter first, no reserved word")
     return out
 
 
@@ -202,7 +202,7 @@ def _text(text: str) -> str:
         got = f"a text of {len(flat)} characters" if len(flat) > TEXT_LENGTH else repr(flat)
         what = f"a popup of a UR controller cannot show {got}"
         hint = f"give shorter names, without quotes and backslashes; allowed: {TEXT_LENGTH} characters"
-        raise TandemError(Issue("post.name", what, hint=hint))
+        raise refusal("post.name", what, hint=hint)
     return f'"{flat}"'
 
 

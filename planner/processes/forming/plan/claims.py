@@ -21,7 +21,7 @@ from planner.claims.dialogue import (
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.problem import Part, Setup, Sheet
 from planner.processes.forming import claims as facts
 from planner.processes.forming import sentences
@@ -181,7 +181,7 @@ def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> facts.Fo
     op, sheet = operation, setup.stock.sheet
     if sheet is None or part is None or part.formed is None:
         what = f"{op.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
-        raise TandemError(Issue("forming.no_sheet", what, field="sheet"))
+        raise refusal("forming.no_sheet", what, field="sheet")
     tools = [setup.cell.arm(arm).tool for arm in op.arms]
     heads = [tool.head if isinstance(tool, FormingTool) else None for tool in tools]
     thickness = float(setup.stock.size[2])

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, lengths
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.processes.forming.plan.contact import ContactPath, Pass, ToolPath, heights
 from planner.processes.forming.plan.operation import Level
 from planner.processes.forming.plan.process_plan import Work, lay
@@ -97,4 +97,4 @@ def _require_height(work: Work, one: Pass, height: FloatArray, level: Level) -> 
 
 
 def _refused(what: str, field: str, hint: str) -> TandemError:
-    return TandemError(Issue("forming.path_options", what, field=f"level.{field}", hint=hint))
+    return refusal("forming.path_options", what, field=f"level.{field}", hint=hint)

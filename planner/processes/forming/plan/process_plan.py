@@ -15,7 +15,7 @@ import numpy as np
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Part, Setup, Sheet
 from planner.processes.forming.plan.contact import ContactPath, Pass, ToolPath
 from planner.processes.forming.plan.features import tree as feature_tree
@@ -145,7 +145,7 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     sheet, mesh = setup.stock.sheet, None if part is None or part.formed is None else part.formed.mesh
     if sheet is None or mesh is None:
         what = f"{operation.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
-        raise TandemError(Issue("forming.no_sheet", what, field="sheet"))
+        raise refusal("forming.no_sheet", what, field="sheet")
     heads = _heads(operation, setup)
     tolerance = part.formed.tolerance if part is not None and part.formed is not None else 0.0
     tree = feature_tree.build(mesh, operation.feature_step_mm * MM, max(feature_tree.LEAST_BUMP, tolerance))
@@ -198,7 +198,7 @@ def _require_sides(op: Forming, made: tuple[Pass, ...]) -> None:
             "turn the part or the sheet over, or take two arms in mode dsif, whose tools swap their roles"
         )
         what = f"{op.name}: {names} {way} the sheet, where no ball works; {remedy}"
-        raise TandemError(Issue("forming.side", what, field="operations.mode"))
+        raise refusal("forming.side", what, field="operations.mode")
 
 
 def _named(features: list[int]) -> str:

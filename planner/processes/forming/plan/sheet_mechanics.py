@@ -18,7 +18,7 @@ from planner.catalogue.materials import SheetMetal
 from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.geometry.units import DEG, GRAVITY, MM, measurement
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 from planner.processes.forming.plan.contact import Pass, smooth_normals
 
 STEEP_SHARE: Final = 0.005
@@ -222,4 +222,4 @@ def _worst(values: FloatArray) -> float:
 
 
 def _wrong(text: str) -> TandemError:
-    return TandemError(Issue("forming.force_input", text, hint="correct it, in the units stated"))
+    return refusal("forming.force_input", text, hint="correct it, in the units stated")

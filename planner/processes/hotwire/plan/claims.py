@@ -48,7 +48,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, Mesh, Ruled
 from planner.geometry.rulings import tessellate
 from planner.geometry.units import GRAVITY, MM
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire import claims as facts
 from planner.processes.hotwire import sentences as hotwire_sentences
@@ -85,16 +85,16 @@ def slot(
     if foam is None or power_w is None:
         what = "the slot follows from power_w and the block's foam, and one of them is not stated; give "
         what += "stock.foam, or kerf_mm instead of power_w"
-        raise TandemError(Issue("stock.foam_missing", what, field="stock.foam"))
+        raise refusal("stock.foam_missing", what, field="stock.foam")
     fit, heat, melts = foam.kerf, foam.specific_heat, foam.melt_temperature
     if fit is None or heat is None or melts is None:
         what = f"the slot in {foam.name}: got no test cuts, heat or melting point, allowed a foam with them"
         hint = "give kerf_mm, or fit test cuts of your own: tandem kerf fit"
-        raise TandemError(Issue("kerf.no_data", what, field="foam", hint=hint))
+        raise refusal("kerf.no_data", what, field="foam", hint=hint)
     if not (diameter > 0.0 and length > 0.0):
         size = f"{diameter / MM:g} x {length / MM:g} mm"
         what = f"a hot wire of {size}: allowed a diameter and a length above 0"
-        raise TandemError(Issue("kerf.input", what, field="diameter", hint="give the wire's size"))
+        raise refusal("kerf.input", what, field="diameter", hint="give the wire's size")
     speed = np.geomspace(SLOWEST_WIRE, FASTEST_WIRE, SPEED_STEPS)
     melted = power_w / length / (foam.density * heat * (melts - ROOM_TEMPERATURE)) / speed
     width = np.maximum(fit.chi * melted - fit.offset, diameter)
@@ -139,7 +139,7 @@ def stiffness(
     else:
         what = "wire size: got neither a diameter nor a width and a thickness, allowed one of the two"
         hint = "give diameter_mm, or width_mm and thickness_mm"
-        raise TandemError(Issue("wire.size", what, hint=hint))
+        raise refusal("wire.size", what, hint=hint)
     strain = material.yield_stress / _at(material.young_table, REFERENCE_TEMPERATURE)
     weight = material.density * area * GRAVITY
     return Stiffness(young * soft, young * stiff, shear * twist, weight, 2.0 * strain / thick, thick)
@@ -215,7 +215,7 @@ def claimed(op: Straight, stock: Stock, part: Part | None, span: float) -> list[
 
 def _missing(op: Straight, name: str) -> TandemError:
     what = f"{op.name}: {name} is to be cut, but the part has no such ruled surface; correct the name"
-    return TandemError(Issue("part.missing_surface", what, field="part"))
+    return refusal("part.missing_surface", what, field="part")
 
 
 # ---- the order of everything ----
@@ -392,7 +392,7 @@ def _bow(op: Straight, setup: Setup) -> Bow:
     if isinstance(tool, Bow):
         return tool
     what = f"{op.name}: the tool {tool.name} of arm {op.arms[0]} has no straight wire; mount a bow"
-    raise TandemError(Issue("bow.missing", what, field="cell.arms", arm=op.arms[0]))
+    raise refusal("bow.missing", what, field="cell.arms", arm=op.arms[0])
 
 
 def _leads(cuts: list[Claimed], tolerance: float) -> list[facts.LeadsFrom]:
@@ -491,5 +491,5 @@ def _face(op: ElasticWire, name: str, part: Part | None) -> Mesh:
     face = faces.get(name)
     if face is None:
         what = f"{op.name}: the {name} face is to be cut, but the problem's part has none; add it"
-        raise TandemError(Issue("part.missing_face", what, field="part"))
+        raise refusal("part.missing_face", what, field="part")
     return face

@@ -14,7 +14,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from planner.catalogue.materials import Foam
 from planner.claims.segments import fold
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.problem import BentWire, Controller, Stock
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.kerf import width
@@ -62,7 +62,7 @@ class Heat(Strict):
         if self.power_w is None or foam is None:
             what = "power_w is given, but the kerf depends on the block's foam, which is not named; name "
             what += "stock.foam, or give kerf_mm instead"
-            raise TandemError(Issue("stock.foam_missing", what, field="stock.foam"))
+            raise refusal("stock.foam_missing", what, field="stock.foam")
         wire = width.HotWire(diameter, length)
         return width.curve(foam, wire, self.power_w, thickness, np.array(KERF_SPEEDS))
 

@@ -13,7 +13,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray, Ruled, unit
 from planner.geometry.polylines import thinned
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, Severity, TandemError, has_errors
+from planner.issues import Issue, Severity, TandemError, has_errors, refusal
 from planner.problem import Part
 from planner.processes.milling.plan import cutter_contact
 from planner.processes.milling.plan.cutter_contact import Strip, strips
@@ -134,7 +134,7 @@ def surface(part: Part | None, name: str) -> Ruled:
         has = ", ".join(known) or "none"
         what = f"cuts: the part has no ruled surface {name}; it has {has}: name one of them, or give it "
         what += "under part.ruled"
-        raise TandemError(Issue("milling.no_surface", what, field="operations.cuts"))
+        raise refusal("milling.no_surface", what, field="operations.cuts")
     return known[name]
 
 

@@ -16,7 +16,7 @@ from planner.geometry.arrays import FloatArray, dots, unit
 from planner.geometry.face_places import Over, Places
 from planner.geometry.polylines import thinned
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.processes.milling.plan.cutter_contact import within
 from planner.processes.milling.plan.operation import EngraveCut, LinesCut, Milling
 from planner.processes.milling.plan.tool_path import Run, plain_path
@@ -99,9 +99,7 @@ def line_runs(
         most = 0.25 * float((over.high - over.low).min()) / MM
         what = f"lines: a margin of {cut.margin_mm:g} mm leaves nothing of the face; {most:.1f} mm would "
         what += "leave half of its width"
-        raise TandemError(
-            Issue("milling.pattern", what, field="operations.cuts.margin_mm", value=cut.margin_mm)
-        )
+        raise refusal("milling.pattern", what, field="operations.cuts.margin_mm", value=cut.margin_mm)
     count = int(np.ceil((tops[0] - ends[0]) / LINE_SPACING)) + 1
     places = np.linspace(ends[0], tops[0], count)[:, None] * way
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
@@ -159,21 +157,19 @@ def _offsets(
     if cut.scallop_mm is not None and cutter.corner == 0.0:
         what = "lines: a cylinder's end leaves no round ridges, so that scallop_mm says nothing; give a "
         what += "stepover_mm, or take a ball or bull nose"
-        raise TandemError(Issue("milling.pattern", what, field="operations.cuts.scallop_mm"))
+        raise refusal("milling.pattern", what, field="operations.cuts.scallop_mm")
     found, lowest = [ends[0]], np.inf
     while found[-1] < ends[1]:
         step, ridge = _step(cut, over, places, side, found[-1], ends, cutter)
         lowest = min(lowest, ridge)
         found.append(found[-1] + step)
         if len(found) > MOST_LINES:
-            raise TandemError(
-                Issue(
-                    "milling.pattern",
-                    f"lines: more than {MOST_LINES} lines; give {_wider(cut, found, ends)}",
-                    field="operations.cuts",
-                    value=float(len(found)),
-                    limit=float(MOST_LINES),
-                )
+            raise refusal(
+                "milling.pattern",
+                f"lines: more than {MOST_LINES} lines; give {_wider(cut, found, ends)}",
+                field="operations.cuts",
+                value=float(len(found)),
+                limit=float(MOST_LINES),
             )
     out = np.array(found)
     closer = (ends[1] - ends[0]) / (out[-1] - ends[0])
@@ -201,10 +197,8 @@ def _ridges(cut: LinesCut, lowest: float, most: float) -> None:
             do = f"a scallop_mm of {np.floor(less * (cut.scallop_mm or 0.0) * 1000.0) / 1000.0:.3f}"
         what = f"lines: ridges of {lowest / MM:.3f} mm or more leave too little of it within shape_tol_mm; "
         what += f"allowed: {most / MM:.3f} mm; give {do} or less, or more tolerance"
-        raise TandemError(
-            Issue(
-                "milling.pattern", what, field="operations.cuts", **measurement(lowest / MM, most / MM, "mm")
-            )
+        raise refusal(
+            "milling.pattern", what, field="operations.cuts", **measurement(lowest / MM, most / MM, "mm")
         )
 
 
@@ -283,7 +277,7 @@ def engraved_runs(op: Milling, cut: EngraveCut, over: Over, cutter: Cutter) -> t
     (curves, notes), (others, told) = _curves(cut, "engrave"), _curves(cut, "axis_curves")
     if others and len(others) != len(curves):
         what = f"{cut.name}: axis_curves are {len(others)} for {len(curves)} curves; give one for each"
-        raise TandemError(Issue("milling.guides", what, field=f"operations.cuts.{cut.name}.axis_curves"))
+        raise refusal("milling.guides", what, field=f"operations.cuts.{cut.name}.axis_curves")
     for number, (curve, field) in enumerate(curves):
         other = others[number] if others else None
         try:
@@ -333,7 +327,7 @@ def _curves(cut: EngraveCut, key: str) -> tuple[list[tuple[FloatArray, str]], li
     if len(out) > MOST_CURVES:
         what = f"{cut.name}: {key} are {len(out)} curves with those of drawings; allowed: {MOST_CURVES}"
         hint = "name layers, or divide them among cuts"
-        raise TandemError(Issue("problem.field", what, field=f"operations.cuts.{cut.name}.{key}", hint=hint))
+        raise refusal("problem.field", what, field=f"operations.cuts.{cut.name}.{key}", hint=hint)
     return out, notes
 
 
@@ -362,7 +356,7 @@ def _engraving_tool(
         low, high = over.low / MM, over.high / MM
         what += f"move or shorten it: in the block's frame the front goes from {low[0]:.1f}, {low[1]:.1f} to "
         what += f"{high[0]:.1f}, {high[1]:.1f} mm at most (curves are projected along z)"
-        raise TandemError(Issue("milling.off_surface", what, field=field))
+        raise refusal("milling.off_surface", what, field=field)
     feed = np.gradient(laid.point, axis=0)
     if cut.axis == "upright":
         axis = np.broadcast_to([0.0, 0.0, 1.0], curve.shape).copy()
@@ -396,5 +390,5 @@ def _toward(cut: EngraveCut, number: int, point: FloatArray, other: FloatArray, 
         what = f"{cut.name}: axis curve {number + 1} meets its curve or runs the other way; give "
         what += "it at least 1 mm "
         what += "off its curve and in the same direction"
-        raise TandemError(Issue("milling.guides", what, field=field))
+        raise refusal("milling.guides", what, field=field)
     return np.asarray(way / length[:, None])

@@ -18,7 +18,7 @@ from planner.geometry.face_places import Over
 from planner.geometry.polylines import sharp, thinned
 from planner.geometry.rulings import tessellate
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Part, Setup
 from planner.processes.milling import sentences as milling_sentences
 from planner.processes.milling.plan import cutter_contact as milling_face
@@ -69,7 +69,7 @@ def gcode_passes(cut: GCodeCut, step: float, tolerance: float, field: str) -> Pa
     file = str(cut.gcode.file)
     if not stretches:
         what = "the file has places but no cuts between them; give the G-code of the job"
-        raise TandemError(Issue("gcode.empty", what, file=file, field=field))
+        raise refusal("gcode.empty", what, file=file, field=field)
     faults = [*_amid(program.events, stretches, file), *_speeds(path, stretches, file)]
     if faults:
         raise TandemError(faults)
@@ -89,7 +89,7 @@ def gcode_passes(cut: GCodeCut, step: float, tolerance: float, field: str) -> Pa
             before, since = float(path.spindle[last]), last
     if not runs:
         what = "no cut of the file goes anywhere; give the G-code of the job"
-        raise TandemError(Issue("gcode.empty", what, file=file, field=field))
+        raise refusal("gcode.empty", what, file=file, field=field)
     return Passes(tuple(runs), program.notes)
 
 
@@ -269,7 +269,7 @@ def work(op: Milling, setup: Setup, part: Part | None) -> Work:
             f"{op.name}: two passes would be called {both[0].name!r} and {both[1].name!r}, which programs "
             "cannot tell apart (passes of patterns, files and roughing are numbered); rename one of the cuts"
         )
-        raise TandemError(Issue("problem.duplicate_name", what, field="operations.cuts"))
+        raise refusal("problem.duplicate_name", what, field="operations.cuts")
     return whole
 
 
@@ -278,7 +278,7 @@ def _cutter(op: Milling, setup: Setup) -> Cutter:
     if not isinstance(tool, Mill):
         what = f"arm {op.arms[0]} carries the tool {tool.name}, which has no cutter; give it a tool of kind "
         what += "mill"
-        raise TandemError(Issue("milling.tool", what, field="cell.arms", arm=op.arms[0]))
+        raise refusal("milling.tool", what, field="cell.arms", arm=op.arms[0])
     return tool.cutter
 
 
@@ -319,7 +319,7 @@ def _on_front(
 def _front(part: Part | None) -> Mesh:
     if part is None or part.front is None:
         what = "cuts: lines and engraving need a front of the part; give part.front"
-        raise TandemError(Issue("milling.no_surface", what, field="operations.cuts"))
+        raise refusal("milling.no_surface", what, field="operations.cuts")
     corners = part.front.vertices[part.front.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     up = cross[:, 2] / np.maximum(np.linalg.norm(cross, axis=1), 1e-30)
@@ -336,9 +336,7 @@ def _front(part: Part | None) -> Mesh:
             what = f"the part's front leans {lean:.1f} degrees off the block's top at {at} mm, where it "
             what += f"cannot be milled from above; allowed: {most:.1f}"
             hint = "turn the part in the block (in_stock: rpy_deg), or leave that place out of the front"
-        raise TandemError(
-            Issue("milling.front", what, field="part.front", **measurement(lean, most, "deg"), hint=hint)
-        )
+        raise refusal("milling.front", what, field="part.front", **measurement(lean, most, "deg"), hint=hint)
     return part.front
 
 

@@ -18,7 +18,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.polylines import sharp
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.processes.milling.plan.operation import Milling, SafeSide
 
 CUT: Final = "cut"
@@ -261,17 +261,15 @@ def _refuse_flat(op: Milling, passes: Sequence[Run]) -> None:
         for side in sorted(BLOCK_SIDES, key=lambda s: -float(rise[s].min()))
         if rise[side].min() >= np.sin(LEAST_RISE)
     ]
-    raise TandemError(
-        Issue(
-            "milling.safe_plane",
-            f"{passes[worst].name}: the tool stands {lean:.0f} degrees off the {op.safe_side} of the block, "
-            f"so that it cannot rise to the safe plane there; allowed are {90.0 - LEAST_RISE / DEG:.0f}",
-            field="operations.safe_side",
-            **measurement(lean, 90.0 - LEAST_RISE / DEG, "deg"),
-            hint=f"take safe_side: {' or '.join(good)}"
-            if good
-            else "no side will do for all cuts: make an operation of each, with a safe_side of its own",
-        )
+    raise refusal(
+        "milling.safe_plane",
+        f"{passes[worst].name}: the tool stands {lean:.0f} degrees off the {op.safe_side} of the block, "
+        f"so that it cannot rise to the safe plane there; allowed are {90.0 - LEAST_RISE / DEG:.0f}",
+        field="operations.safe_side",
+        **measurement(lean, 90.0 - LEAST_RISE / DEG, "deg"),
+        hint=f"take safe_side: {' or '.join(good)}"
+        if good
+        else "no side will do for all cuts: make an operation of each, with a safe_side of its own",
     )
 
 

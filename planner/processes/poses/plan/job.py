@@ -18,7 +18,7 @@ from planner.claims.segments import Segment
 from planner.files import is_file, no_file
 from planner.geometry.arrays import FloatArray, from_parts, from_quaternion
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Stock
 from planner.processes.poses import claims
 from planner.reading.strict_yaml import Name, Strict
@@ -131,9 +131,7 @@ class PosedJob(Job[Posed]):
                 "what bears it (support: pedestal), or where an earlier setup has it held: setup: {held_by: "
                 "nobody, place: auto, support: pedestal}"
             )
-            raise TandemError(
-                Issue("targets.held", what, field="operations.process", arm=setup.stock.held_by)
-            )
+            raise refusal("targets.held", what, field="operations.process", arm=setup.stock.held_by)
         rows = _rows(operation)
         poses = {arm: _poses(rows, arm, operation) for arm in operation.arms}
         count = len(rows)
@@ -238,7 +236,7 @@ def _least(
             f"free axis '{slides[0]}' slides, which changes the tool's speed, and feed_min_mm_s asks for a "
             "least one; leave turns free alone, or take feed_min_mm_s out"
         )
-        raise TandemError(Issue("targets.freedom", what, field="operations.free"))
+        raise refusal("targets.freedom", what, field="operations.free")
     return least
 
 
@@ -251,7 +249,7 @@ def _twist(axis: FreeAxis) -> FloatArray:
 def _freedom(axis: FreeAxis, count: int) -> ScrewFreedom:
     if (axis.turn_deg is None) == (axis.slide_mm is None):
         what = f"free axis '{axis.name}': give either turn_deg or slide_mm, one of them"
-        raise TandemError(Issue("targets.freedom", what, field="operations.free"))
+        raise refusal("targets.freedom", what, field="operations.free")
     bounds = axis.turn_deg or axis.slide_mm or (0.0, 0.0)
     scale = DEG if axis.turn_deg is not None else MM
     lower, upper = (np.full(count, bound * scale) for bound in bounds)
@@ -263,10 +261,10 @@ def _rows(operation: Posed) -> list[Mapping[str, Any]]:
     path = operation.file
     if not is_file(path):
         what = f"{path}: {no_file(path)}; check the path, which starts at the problem file's folder"
-        raise TandemError(Issue("problem.missing_file", what, file=str(path), field="operations.file"))
+        raise refusal("problem.missing_file", what, file=str(path), field="operations.file")
     if path.stat().st_size > MAX_TABLE_BYTES:
         what = f"{path}: over {MAX_TABLE_BYTES // 1_000_000} MB; split the job"
-        raise TandemError(Issue("problem.too_large", what, file=str(path)))
+        raise refusal("problem.too_large", what, file=str(path))
     try:
         text = path.read_bytes().decode("utf-8-sig")
         rows = json.loads(text) if path.suffix.lower() == ".json" else _table(text, operation)

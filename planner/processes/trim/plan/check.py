@@ -13,7 +13,7 @@ from planner.geometry.arrays import FloatArray, unit
 from planner.geometry.mesh import small_pieces
 from planner.geometry.swept_body import RoundBody, places_near
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, refusal
 from planner.processes.trim.plan.cutting import Cutting, flute_body
 from planner.processes.trim.plan.face import Face, apart
 from planner.processes.trim.plan.operation import Trim
@@ -185,7 +185,7 @@ def part_places(
     if count > MOST_PART_PLACES:
         what = f"about the slot there are {count} places to be looked at; allowed: {MOST_PART_PLACES}"
         hint = "cut it in several pieces (joints), or take a thinner cutter"
-        raise TandemError(Issue("trim.wall", what, value=count, limit=MOST_PART_PLACES, hint=hint))
+        raise refusal("trim.wall", what, value=count, limit=MOST_PART_PLACES, hint=hint)
     return found
 
 

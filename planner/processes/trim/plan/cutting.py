@@ -10,7 +10,7 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.geometry.swept_body import RoundBody
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.processes.trim.plan.operation import KnifeCut, MillCut, Trim
 from planner.tooling import Blade, Cutter, Knife, Mill, Tool, Torch
 
@@ -64,7 +64,7 @@ def mounted(op: Trim, tool: Tool) -> Trimmer:
     hint = f"give it tool: {{kind: {wanted}, ...}}, by a setup if need be"
     if isinstance(tool, Mill | Torch | Knife):
         hint += f", or state by: {{kind: {_KIND[type(tool)]}}}"
-    raise TandemError(Issue("trim.tool", what, hint=hint))
+    raise refusal("trim.tool", what, hint=hint)
 
 
 _KIND: Final = {Mill: "mill", Torch: "torch", Knife: "knife"}
@@ -92,7 +92,7 @@ def cutting(op: Trim, tool: Trimmer, thickness: float) -> Cutting:
         what = f"{op.name}: the end of the {cutter.kind} cutter, round over {cutter.corner / MM:g} mm, stays "
         what += f"in the sheet; below_mm: {by.below_mm:g}"
         hint = f"take a cylinder, or below_mm: {cutter.corner / MM:g}"
-        raise TandemError(Issue("trim.tool", what, limit=by.below_mm, unit="mm", hint=hint))
+        raise refusal("trim.tool", what, limit=by.below_mm, unit="mm", hint=hint)
     return Cutting(
         "cutter",
         2.0 * cutter.radius,
@@ -114,7 +114,7 @@ def _require_reach(op: Trim, names: tuple[str, str], length: float, deep: float)
         what += f"{least / MM:.2f} mm, the sheet, below_mm and clear_mm"
         hint = f"take a longer {names[1]}, or less below_mm"
         value, limit = length / MM, least / MM
-        raise TandemError(Issue("trim.tool", what, value=value, limit=limit, unit="mm", hint=hint))
+        raise refusal("trim.tool", what, value=value, limit=limit, unit="mm", hint=hint)
 
 
 def torch_body(torch: Torch) -> RoundBody:

@@ -22,7 +22,7 @@ import shapely
 from planner.claims.claim import Claim
 from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.issues import Issue, TandemError, aggregate, has_errors, refusal
 from planner.problem import Formed, Hole
 from planner.processes.forming.plan.features.tree import LEAST_BUMP, build
 from planner.processes.forming.plan.stages import formed_sheet, shown
@@ -71,7 +71,7 @@ class TrimJob(Job[Trim]):
             part = sheet_file.build(op.surface, Path(), stock, place)
         if stock.sheet is None or part is None or part.formed is None:
             what = f"{op.name}: there is no formed sheet; give sheet: and a part of kind sheet_mesh"
-            raise TandemError(Issue("trim.no_sheet", what, field="sheet"))
+            raise refusal("trim.no_sheet", what, field="sheet")
         return part.formed
 
     @functools.cached_property
@@ -106,11 +106,11 @@ class TrimJob(Job[Trim]):
         op, tool, wanted = self.operation, self.cutting, self.wanted
         sheet = self.setup.stock.sheet
         if sheet is None:
-            raise TandemError(Issue("trim.no_sheet", f"{op.name}: there is no sheet to trim", field="sheet"))
+            raise refusal("trim.no_sheet", f"{op.name}: there is no sheet to trim", field="sheet")
         if tool.through and sheet.die:
             what = f"{op.name}: there is a die behind the sheet, into which the {tool.word} would go"
             hint = "take the die out, and trim by a problem of its own (surface:), or by a torch or laser"
-            raise TandemError(Issue("trim.die", what, field="operations.die", hint=hint))
+            raise refusal("trim.die", what, field="operations.die", hint=hint)
         reach = tool.kerf + op.lead.length_mm * MM if tool.blade is None else tool.blade.width
         issues = list(check.curve_issues(wanted, sheet.opening, reach, op.shape_tol_mm * MM))
         if issues:

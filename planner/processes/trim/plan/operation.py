@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from planner.claims.segments import fold
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, LENGTH_UNITS, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Hole, Stock
 from planner.reading import rhino
 from planner.reading.drawing import read_dxf
@@ -318,18 +318,18 @@ def every_outline(op: Trim) -> list[tuple[OutlineFile, FloatArray]]:
         if other := known.get(fold(own.name)):
             what = f"outlines: {other} and {own.name} cannot be told apart; curves of drawings have numbers"
             hint = "give the outline, or the drawing, another name"
-            raise TandemError(Issue("problem.field", what, field="operations.outlines", hint=hint))
+            raise refusal("problem.field", what, field="operations.outlines", hint=hint)
         known[fold(own.name)] = own.name
     for name in known if isinstance(op.by, KnifeCut) else ():
         base = known.get(re.sub(r"_p\d+$", "", name))
         if base is not None and base != known[name]:
             what = f"outlines: {known[name]} is what a stretch of {base} is called where a knife is lifted"
             hint = "give the outline another name"
-            raise TandemError(Issue("problem.field", what, field="operations.outlines", hint=hint))
+            raise refusal("problem.field", what, field="operations.outlines", hint=hint)
     if len(out) > MOST_OUTLINES:
         what = f"outlines: {len(out)} curves with those of drawings; allowed: {MOST_OUTLINES}"
         hint = "name layers, or divide them among operations"
-        raise TandemError(Issue("problem.field", what, field="operations.outlines", hint=hint))
+        raise refusal("problem.field", what, field="operations.outlines", hint=hint)
     return out
 
 

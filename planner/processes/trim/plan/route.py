@@ -13,7 +13,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, corners, transform
 from planner.geometry.polylines import sharp, thinned
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError, has_errors
+from planner.issues import Issue, TandemError, has_errors, refusal
 from planner.problem import Setup
 from planner.processes.trim.plan import check
 from planner.processes.trim.plan.cutting import Cutting
@@ -236,7 +236,7 @@ def _above(slot: Slot, op: Trim, tool: Cutting, near: tuple[Laid, float]) -> Flo
         what += f"down on it before it is {low / MM:.2f} mm off the curve"
         hint = f"take a longer lead.length_mm (about {1.3 * low / MM:.1f}), or a smaller shape_tol_mm"
         value, limit = op.lead.length_mm, low / MM
-        raise TandemError(Issue("trim.lead", what, value=value, limit=limit, unit="mm", hint=hint))
+        raise refusal("trim.lead", what, value=value, limit=limit, unit="mm", hint=hint)
     step = np.linalg.norm(np.diff(slot.point[: max(last, 1) + 1], axis=0), axis=1)
     left = np.append(np.cumsum(step[::-1])[::-1], np.zeros(len(slot.point) - len(step)))
     return np.asarray(left / float(left[0]))

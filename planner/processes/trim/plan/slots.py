@@ -8,7 +8,7 @@ import shapely
 
 from planner.geometry.arrays import BoolArray, FloatArray, unit
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.processes.trim.plan.face import Face, Laid, apart, offset
 from planner.processes.trim.plan.operation import OutlineFile, Trim
 
@@ -74,7 +74,7 @@ def slots(op: Trim, one: Wanted, others: list[Wanted], face: Face, kerf: float) 
         most = int(length / (gap + 2.0 * kerf))
         what = f"{one.spec.name}: {count} micro-joints of {one.spec.joint_mm:g} mm leave nothing to cut "
         what += f"between them; at most {most} fit on {length / MM:.1f} mm"
-        raise TandemError(Issue("trim.joints", what, value=count, limit=most, hint=f"take joints: {most}"))
+        raise refusal("trim.joints", what, value=count, limit=most, hint=f"take joints: {most}")
     ways = unit(np.concatenate([out, out[:1]]))
     best: tuple[float, list[Slot]] | None = None
     for start in length * np.arange(STARTS) / STARTS:
@@ -93,7 +93,7 @@ def slots(op: Trim, one: Wanted, others: list[Wanted], face: Face, kerf: float) 
         what = f"{one.spec.name}: no way in of {op.lead.length_mm:g} mm with the pierce point "
         what += f"{op.pierce.off_mm:g} mm off all curves fits into the waste; {short / MM:.2f} mm are lacking"
         hint = f"take a shorter lead.length_mm or pierce.off_mm (about {fits:.1f}), or a narrower kerf"
-        raise TandemError(Issue("trim.lead", what, value=short / MM, limit=0.0, unit="mm", hint=hint))
+        raise refusal("trim.lead", what, value=short / MM, limit=0.0, unit="mm", hint=hint)
     return best[1]
 
 
@@ -106,14 +106,12 @@ def _require_whole(one: Wanted, middle: FloatArray, half: float, tolerance: floa
         where = middle[int(np.argmax(step))] if round_it else one.laid.point.mean(axis=0)
         what = f"{one.spec.name}: about ({where[0] / MM:.1f}, {where[1] / MM:.1f}) mm the waste is narrower "
         what += f"than the kerf of {2.0 * half / MM:g} mm, so that its slot does not close"
-        raise TandemError(
-            Issue(
-                "trim.narrow",
-                what,
-                limit=2.0 * half / MM,
-                unit="mm",
-                hint="widen it there, or take a narrower kerf",
-            )
+        raise refusal(
+            "trim.narrow",
+            what,
+            limit=2.0 * half / MM,
+            unit="mm",
+            hint="widen it there, or take a narrower kerf",
         )
     left = apart(one.laid.point, middle) - half
     k = int(np.argmax(left))
@@ -125,7 +123,7 @@ def _require_whole(one: Wanted, middle: FloatArray, half: float, tolerance: floa
             f"round the corner with {half / MM:g} mm or more, or take shape_tol_mm: {left[k] / MM + 0.01:.2f}"
         )
         value, limit = float(left[k]) / MM, tolerance / MM
-        raise TandemError(Issue("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint))
+        raise refusal("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint)
 
 
 Ring = tuple[FloatArray, FloatArray, FloatArray]

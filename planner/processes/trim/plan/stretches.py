@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray, dots, unit
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.processes.trim.claims import MOST_STRETCHES
 from planner.processes.trim.plan.cutting import Cutting
 from planner.processes.trim.plan.face import Face, Laid, apart
@@ -161,7 +161,7 @@ def stretches(op: Trim, one: Wanted, face: Face, tool: Cutting) -> list[Slot]:
         what = f"{one.spec.name}: the blade would be lifted {len(spans)} times; allowed: {MOST_STRETCHES}"
         hint = "draw what is round as arcs or splines, not as corners, or allow larger turns_deg"
         value, limit = float(len(spans)), float(MOST_STRETCHES)
-        raise TandemError(Issue("trim.corner", what, value=value, limit=limit, hint=hint))
+        raise refusal("trim.corner", what, value=value, limit=limit, hint=hint)
     out, issues = [], list[Issue]()
     for number, span in enumerate(spans, 1):
         name = one.spec.name if len(spans) == 1 else f"{one.spec.name}_p{number}"
@@ -211,7 +211,7 @@ def _joints(one: Wanted, ring: _Ring) -> list[float]:
         what = f"{one.spec.name}: {count} micro-joints of {width / MM:g} mm do not fit between its corners, "
         what += "each as far off them as it is wide"
         hint = f"take fewer joints (at most {most}), or a smaller joint_mm"
-        raise TandemError(Issue("trim.joints", what, value=count, limit=most, hint=hint))
+        raise refusal("trim.joints", what, value=count, limit=most, hint=hint)
     return [float(at) for at in (even + best) % ring.length]
 
 
@@ -272,7 +272,7 @@ def _stretch(
             what = f"{name}: the stretch of {(span.high - span.low) / MM:.1f} mm beside a micro-joint is "
             what += f"shorter than the blade, {(blade.end + near) / MM:.1f} mm"
             hint = "take fewer joints, or a narrower blade"
-            raise TandemError(Issue("trim.joints", what, hint=hint))
+            raise refusal("trim.joints", what, hint=hint)
         middle = 0.5 * (low + high)
         low, high = middle - 0.5 * LEAST_STROKE, middle + 0.5 * LEAST_STROKE
     along = ring.between(low, high)
@@ -290,7 +290,7 @@ def _stretch(
         hint = f"allow overcut_mm: {np.ceil(10.0 * over / MM) / 10.0:g}, or take a blade that is narrower, "
         hint += f"or a below_mm of its ground_mm ({blade.ground / MM:g}), where it is as wide at both faces"
         value, limit = over / MM, by.overcut_mm
-        raise TandemError(Issue("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint))
+        raise refusal("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint)
     slot = Slot(name, one.spec.name, point, normal, 0, len(point) - 1, heading, over)
     _require_beside(op, one, slot, along, span, (blade, near, ring.face, deep - by.below_mm * MM))
     return slot
@@ -347,7 +347,7 @@ def _require_beside(
         hint = "take a narrower blade, or less below_mm, draw a wider bend, or a sharp corner, at which it "
         hint += f"is lifted, or take shape_tol_mm: {np.ceil(200.0 * off[k] / MM) / 100.0:g}"
         value, limit = float(off[k]) / MM, most / MM
-        raise TandemError(Issue("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint))
+        raise refusal("trim.corner", what, value=value, limit=limit, unit="mm", hint=hint)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,7 +22,7 @@ from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.curves import sides
 from planner.geometry.mesh import TriangleMesh, check_surface
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 OVERHANG: Final = 25e-6
 """Depth [m] by which faces may turn over: what noise of the vertices does to a vertical wall."""
@@ -56,7 +56,7 @@ def check_sheet(vertices: FloatArray, faces: IntArray, noise: float) -> SheetSur
     faces = np.asarray(compact).reshape(-1, 3).astype(np.int64)
     vertices = np.ascontiguousarray(vertices[used], dtype=np.float64)
     if len(faces) == 0:
-        raise TandemError(Issue("mesh.empty", "the part has no faces; export its surface", field="part"))
+        raise refusal("mesh.empty", "the part has no faces; export its surface", field="part")
     found = check_surface(TriangleMesh(vertices, faces), "part")
     if found:
         raise TandemError(found)
@@ -139,10 +139,10 @@ def _outer_border(vertices: FloatArray, faces: IntArray, rim: IntArray) -> IntAr
         if _joined(faces, vertex):
             what = f"holes of the part, or one and its edge, meet in a point at {where(at)}; a sheet is "
             what += "formed whole, so close them and cut them afterwards"
-            raise TandemError(Issue("forming.hole", what, field="part"))
+            raise refusal("forming.hole", what, field="part")
         what = f"two pieces of the part meet in a single point at {where(at)} with no sheet between them, so "
         what += "they cannot be told apart; move them apart, or join them by a strip of flat sheet"
-        raise TandemError(Issue("forming.touching", what, field="part"))
+        raise refusal("forming.touching", what, field="part")
     graph = coo_array((np.ones(len(rim)), (rim[:, 0], rim[:, 1])), shape=(count, count))
     _, label = connected_components(graph, directed=False)
     a, b = vertices[rim[:, 0], :2], vertices[rim[:, 1], :2]

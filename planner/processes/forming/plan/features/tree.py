@@ -41,7 +41,7 @@ from shapely.ops import nearest_points
 
 from planner.geometry.arrays import FloatArray, Mesh, spread_rows
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 from planner.processes.forming.plan.features.surface import (
     Beyond,
     SheetSurface,
@@ -157,7 +157,7 @@ def _check_step(mesh: Mesh, step: float) -> None:
         least = extent / MM / MOST_SLICES + 1e-6  # as told, in whole nanometres
         what = f"step: got {step / MM:g} mm, allowed is {least:.6f} mm at least, {MOST_SLICES} levels over "
         what += f"the part's {extent / MM:.3g} mm; state such a length"
-        raise TandemError(Issue("forming.step", what, field="step", **measurement(step / MM, least, "mm")))
+        raise refusal("forming.step", what, field="step", **measurement(step / MM, least, "mm"))
 
 
 def _walls(surface: SheetSurface, noise: float) -> list[Wall]:

@@ -18,7 +18,7 @@ from planner.catalogue.materials import SheetMetal
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh, corner_normals
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.processes.forming.plan.contact import CREASE_ANGLE, MIRROR, ContactPath, Pass, ToolPath
 from planner.processes.forming.plan.operation import Adsif, Forming
 from planner.processes.forming.plan.paths.adsif_response import (
@@ -68,7 +68,7 @@ def adsif_tool_path(
             f"mode adsif needs two balls of one radius, got {got}; mount a ball of {former.radius / MM:g} mm "
             "on both arms"
         )
-        raise TandemError(Issue("forming.support_tool", what, field="mode"))
+        raise refusal("forming.support_tool", what, field="mode")
     response = _response(operation)
     held = operation.adsif
     wanted = Conditions(metal.name, thickness, former.radius, held.pitch_mm * MM, held.projection_mm * MM)
@@ -185,7 +185,7 @@ def _levels(one: Pass, pitch: float) -> FloatArray:
         what = (
             f"pass {one.name}: {count} loops at a pitch of {pitch / MM:g} mm, allowed are 1 to {MOST_LOOPS}"
         )
-        raise TandemError(Issue("forming.adsif_conditions", what + "; change the pitch", field="adsif"))
+        raise refusal("forming.adsif_conditions", what + "; change the pitch", field="adsif")
     levels = np.interp(pitch * np.arange(count + 1), width, edges)
     return np.asarray(np.clip(levels, one.end + EDGE_MARGIN, one.start - EDGE_MARGIN))
 

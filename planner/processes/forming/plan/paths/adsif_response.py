@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 
 Prefer = Literal["angle", "gap"]
 
@@ -119,7 +119,7 @@ def wall_angle(response: Response, position: ArrayLike, gap: ArrayLike) -> Float
             f"position angle {th.reshape(-1)[k] / DEG:.4g} deg with gap {g.reshape(-1)[k]:.4g} of the "
             f"thickness: the sheet buckles there, or nobody tried ({response.source})"
         )
-        raise TandemError(Issue("forming.adsif_unstable", text, index=k, hint=_steadier(response, th, k)))
+        raise refusal("forming.adsif_unstable", text, index=k, hint=_steadier(response, th, k))
     return total
 
 
@@ -166,10 +166,10 @@ def deflection(force: ArrayLike, *stiffness: float) -> FloatArray:
     load = np.asarray(force, dtype=np.float64)
     if not stiffness or not all(np.isfinite(k) and k > 0.0 for k in stiffness):
         text = f"stiffness: got {', '.join(f'{k:g}' for k in stiffness) or 'none'} N/m, allowed above 0"
-        raise TandemError(Issue("forming.adsif_compliance", text, hint="measure it: push and read a dial"))
+        raise refusal("forming.adsif_compliance", text, hint="measure it: push and read a dial")
     if not np.all(np.isfinite(load) & (load >= 0.0)):
         text = f"force: got {load.min():g} N, allowed 0 N or more"
-        raise TandemError(Issue("forming.adsif_compliance", text, hint="correct it"))
+        raise refusal("forming.adsif_compliance", text, hint="correct it")
     yielded: FloatArray = load * sum(1.0 / k for k in stiffness)
     return yielded
 
@@ -201,7 +201,7 @@ def compensated(gap: ArrayLike, position: ArrayLike, yielded: ArrayLike) -> Floa
             f"let the tools give way by up to {most:.3g} mm, not {given:.3g} mm: state a smaller force, or "
             "stiffen tools or arms"
         )
-        raise TandemError(Issue("forming.adsif_compliance", text, index=k, hint=hint))
+        raise refusal("forming.adsif_compliance", text, index=k, hint=hint)
     return out
 
 

@@ -13,7 +13,7 @@ from shapely import Polygon
 
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
 from planner.geometry.mesh import TriangleMesh
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.processes.forming.plan.contact import MIRROR, ContactPath, Face, Pass
 from planner.processes.forming.plan.paths.level_lines import (
     FLAT_MARGIN,
@@ -368,7 +368,7 @@ def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
         what = f"{one.name}: no closed level line of the face lies in the feature's outline between z = "
         what += f"{1e3 * one.start:.3f} and {1e3 * one.end:.3f} mm; check that levels and outline belong to "
         what += "the face"
-        raise TandemError(Issue("forming.no_contour", what))
+        raise refusal("forming.no_contour", what)
     helical = options.kind == "helical"
     curve = spiral_curve(loops, ways, options.seams) if helical else loop_curve(loops, ways)
     return _contact_path(targets(curve, face, creases, options, one.name), curve, face, options, one.side)

@@ -23,7 +23,7 @@ from shapely import Polygon, contains_xy
 from planner.geometry.arrays import FloatArray, IntArray, distinct_rows
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.geometry.units import DEG
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 
 _SAME_PLACE: Final = 1e-7
 """Places of a line nearer than this [m], with the same normal, are one."""
@@ -171,7 +171,7 @@ def _followers(segments: Segments, region: Polygon | None, name: str) -> tuple[S
         what = f"{name}: the level line at z = {at_mm[2]:.2f} mm ends at ({at_mm[0]:.1f}, {at_mm[1]:.1f}) "
         what += "mm, closed ones are wanted: the mesh has a hole or a border there; close it, or let the "
         what += "mesh reach the flat around the feature"
-        raise TandemError(Issue("forming.open_contour", what))
+        raise refusal("forming.open_contour", what)
     rows = np.flatnonzero(~ends)
     graph = coo_array((np.ones(len(rows)), (rows, follow[rows])), shape=(count, count))
     _, piece = connected_components(graph, directed=False)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
-from planner.issues import Issue, TandemError
+from planner.issues import TandemError, refusal
 from planner.processes.forming.plan.contact import CONTACT_TOLERANCE, CREASE_ANGLE, Contact, Face
 from planner.processes.forming.plan.paths.level_lines import Loop
 
@@ -283,9 +283,7 @@ class TooNarrow(Exception):  # noqa: N818
             what += f"the largest radius that fits is {1e3 * fits:.2f} mm: take a smaller tool or round the "
             what += "part more"
         limit = None if fits is None else 1e3 * fits
-        return TandemError(
-            Issue("forming.tool_radius", what, value=1e3 * self.radius, limit=limit, unit="mm")
-        )
+        return refusal("forming.tool_radius", what, value=1e3 * self.radius, limit=limit, unit="mm")
 
 
 def largest(first: TooNarrow, path: Callable[[float], object], above: float) -> float | None:

@@ -21,7 +21,7 @@ import shapely
 from planner.geometry.arrays import FloatArray, IntArray, lengths, unit
 from planner.geometry.curves import along, arc_length
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, TandemError, refusal
 from planner.processes.forming.plan.contact import Pass, ToolPath, heights
 from planner.processes.forming.plan.operation import Level
 from planner.processes.forming.plan.passes import stood
@@ -63,7 +63,7 @@ def require_mode(work: Work) -> None:
         what = f"{op.name}: mode dpif_p: its second tool supports the feature's border, which has to stay "
         what += "where it is, and compensation moves both tools alike; allowed are spif, dsif, dpif_l, heat"
         hint = "take another mode, or form a test piece and measure it"
-        raise TandemError(Issue("forming.springback_mode", what, field="mode", hint=hint))
+        raise refusal("forming.springback_mode", what, field="mode", hint=hint)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _asked(
         what = f"pass {forecast.one.name}: the sheet snaps or buckles under the force that is expected: no "
         what += "shift of the tools makes up for that"
         hint = "hold the sheet nearer to the part, form in more passes, or take thicker sheet"
-        raise TandemError(Issue("forming.limit_load", what, field="force_n", hint=hint))
+        raise refusal("forming.limit_load", what, field="force_n", hint=hint)
     return back
 
 
@@ -253,13 +253,8 @@ AGAIN: Final = "write it again: tandem springback PROBLEM --write FILE, or tande
 
 def refused(what: str, hint: str = AGAIN) -> TandemError:
     """What is wrong with a file of shifts, and what to do."""
-    return TandemError(
-        Issue(
-            "forming.compensation",
-            f"the springback file is refused: {what}",
-            field="springback.file",
-            hint=hint,
-        )
+    return refusal(
+        "forming.compensation", f"the springback file is refused: {what}", field="springback.file", hint=hint
     )
 
 

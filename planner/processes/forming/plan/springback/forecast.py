@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray, IntArray, spread_rows
 from planner.geometry.units import DEG, MM, measurement
-from planner.issues import Issue, Severity, TandemError
+from planner.issues import Issue, Severity, refusal
 from planner.processes.forming.plan.contact import Pass, ToolPath
 from planner.processes.forming.plan.process_plan import Work
 from planner.processes.forming.plan.springback.control_points import (
@@ -62,12 +62,12 @@ def require_mode(work: Work) -> None:
     if mode not in MODES:
         what = f"{work.operation.name}: mode {mode}: {WHY_NOT[mode]}; allowed are {', '.join(MODES)}"
         hint = "form a test piece and measure it"
-        raise TandemError(Issue("forming.springback_mode", what, field="mode", hint=hint))
+        raise refusal("forming.springback_mode", what, field="mode", hint=hint)
     if work.staged:
         what = f"{work.operation.name}: the sheet is formed in stages, or was cut before; what it springs "
         what += "back by is known of whole sheets that one operation forms"
         hint = "form a test piece and measure it"
-        raise TandemError(Issue("forming.springback_mode", what, field="features", hint=hint))
+        raise refusal("forming.springback_mode", what, field="features", hint=hint)
 
 
 def not_foretold(work: Work) -> Issue:
@@ -166,7 +166,7 @@ def curves(
                 f"{point.place[2] / MM:.2f} mm has no mesh: {error}"
             )
             hint = f"allow more triangles: {int(2.0 * MORE[-1] * triangles)}"
-            raise TandemError(Issue("forming.springback_mesh", what, field="triangles", hint=hint)) from error
+            raise refusal("forming.springback_mesh", what, field="triangles", hint=hint) from error
         yield found
 
 

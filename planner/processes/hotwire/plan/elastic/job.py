@@ -21,7 +21,7 @@ from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray, Mesh, from_parts
 from planner.geometry.mesh import TriangleMesh, offset
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.issues import Issue, TandemError, aggregate, has_errors, refusal
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire import sentences as hotwire_sentences
 from planner.processes.hotwire.claims import KerfCurve
@@ -237,7 +237,7 @@ class ElasticJob(Job[ElasticWire]):
         if stock.held_by is not None:
             what = f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire takes "
             what += "both its arms; let the block stand: setup: {held_by: nobody, place: auto}"
-            raise TandemError(Issue("wire.held", what, field="stock.held_by", arm=stock.held_by))
+            raise refusal("wire.held", what, field="stock.held_by", arm=stock.held_by)
         if self.brief and (few := self._unjudged()) is not None:
             return few
         screen, made, tried = self._made
@@ -405,12 +405,10 @@ def _wanted(op: ElasticWire, part: Part | None) -> dict[str, Mesh]:
         face = None if part is None else part.front if name == "front" else part.back
         if face is None:
             what = "the problem has no part" if part is None else "the part has no back face"
-            raise TandemError(
-                Issue(
-                    "part.missing_face",
-                    f"{op.name}: the {name} face is to be cut, but {what}; add it or leave it out of faces",
-                    field="part",
-                )
+            raise refusal(
+                "part.missing_face",
+                f"{op.name}: the {name} face is to be cut, but {what}; add it or leave it out of faces",
+                field="part",
             )
         out[name] = face
     return out
@@ -452,14 +450,12 @@ def _cut(
 def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
     need = float(length.max()) / MM + 2.0 * op.margin_mm
     if need > op.chosen.length_mm:
-        raise TandemError(
-            Issue(
-                "wire.too_short",
-                f"{op.name}: the wire of {op.chosen.length_mm:g} mm is shorter than the longest section of "
-                f"the {name} face across {op.way}, with its margins {math.ceil(10.0 * need) / 10.0:g} mm",
-                field="wire.length_mm",
-                **measurement(op.chosen.length_mm, need, "mm"),
-            )
+        raise refusal(
+            "wire.too_short",
+            f"{op.name}: the wire of {op.chosen.length_mm:g} mm is shorter than the longest section of "
+            f"the {name} face across {op.way}, with its margins {math.ceil(10.0 * need) / 10.0:g} mm",
+            field="wire.length_mm",
+            **measurement(op.chosen.length_mm, need, "mm"),
         )
 
 

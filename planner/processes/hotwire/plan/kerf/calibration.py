@@ -17,7 +17,7 @@ from planner.catalogue.materials import Foam, KerfFit, KerfTests
 from planner.files import is_file, no_file
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.processes.hotwire.plan.kerf import models
 from planner.processes.hotwire.plan.kerf.test_cuts import Cuts
 from planner.processes.hotwire.plan.kerf.width import USABLE_KERFS
@@ -116,7 +116,7 @@ def _draw(foam: Foam, cuts: Cuts, thickness: float, diameter: float, left_out: t
                 break
     if fit.chi <= 0.0:
         text = f"test cuts: got a kerf that falls with power over speed (chi {fit.chi:.2f}), allowed a rise"
-        raise TandemError(Issue("kerf.no_trend", text, hint="see to the columns and units of the file"))
+        raise refusal("kerf.no_trend", text, hint="see to the columns and units of the file")
     clipped = np.clip(cuts.width - (fit.chi * ideal - fit.offset), -HUBER * scale, HUBER * scale)
     spread = np.sqrt(np.sum(clipped**2) / (len(cuts) - 2) / _clipped_variance(HUBER))
     return dataclasses.replace(fit, spread=float(spread))
@@ -348,23 +348,23 @@ def _rows(path: Path) -> tuple[list[str], list[Row]]:
     """The headings, and each row with its line."""
     name = str(path)
     if not is_file(path):
-        raise TandemError(Issue("kerf.file", f"{name}: {no_file(path)}", file=name, hint="check the path"))
+        raise refusal("kerf.file", f"{name}: {no_file(path)}", file=name, hint="check the path")
     try:
         if path.stat().st_size > MAX_TEST_CUT_BYTES:
             what = f"{name}: larger than {MAX_TEST_CUT_BYTES / 1e6:g} MB"
             hint = "cut it down"
-            raise TandemError(Issue("kerf.file", what, file=name, hint=hint))
+            raise refusal("kerf.file", what, file=name, hint=hint)
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         what = f"{name}: cannot be read as text: {error}"
         hint = "save it as CSV, UTF-8"
-        raise TandemError(Issue("kerf.file", what, file=name, hint=hint)) from error
+        raise refusal("kerf.file", what, file=name, hint=hint) from error
     lines = [
         (k + 1, line) for k, line in enumerate(text.splitlines()) if line.strip() and not line.startswith("#")
     ]
     if len(lines) < 2:
         text = f"{name}: got {len(lines)} lines, allowed a line of headings and one for each cut"
-        raise TandemError(Issue("kerf.file", text, file=name, hint="write the headings first"))
+        raise refusal("kerf.file", text, file=name, hint="write the headings first")
     separator = ";" if ";" in lines[0][1] else ","
     parsed = list(csv.reader((line for _, line in lines), delimiter=separator))
     header = [cell.strip().lower() for cell in parsed[0]]

@@ -53,7 +53,7 @@ from planner.catalogue import materials
 from planner.catalogue.materials import ROOM_TEMPERATURE, Foam, KerfFit, Table
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.processes.hotwire.plan.kerf import test_cuts
 from planner.processes.hotwire.plan.kerf.test_cuts import Cuts, HotWire
 
@@ -450,6 +450,4 @@ def refuse_melting(foam: Foam, wire: HotWire, power: float) -> None:
     if foam.kerf is not None:
         low, high = (value * wire.length for value in foam.kerf.tests.power_per_length)
         hint += f"; the test cuts in {foam.name} had {low:.3g} to {high:.3g} W over this length"
-    raise TandemError(
-        Issue("kerf.melts", text, field="power_w", value=power, limit=most, unit="W", hint=hint)
-    )
+    raise refusal("kerf.melts", text, field="power_w", value=power, limit=most, unit="W", hint=hint)

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.processes.hotwire.plan.wire import Wire
 
 _DATA_FOLDER: Final = Path(__file__).resolve().parents[4] / "data"
@@ -123,7 +123,7 @@ class HotWire:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 text = f"{name} of the hot wire: got {value / MM:g} mm, allowed above 0"
-                raise TandemError(Issue("kerf.input", text, field=name, hint=f"give the wire's {name}"))
+                raise refusal("kerf.input", text, field=name, hint=f"give the wire's {name}")
 
     @staticmethod
     def of(wire: Wire, length: float) -> "HotWire":

@@ -19,7 +19,7 @@ from planner.catalogue import materials
 from planner.catalogue.materials import Foam
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.units import MM
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.processes.hotwire.claims import KerfCurve
 from planner.processes.hotwire.plan.kerf import models, test_cuts
 from planner.processes.hotwire.plan.kerf.models import refuse_melting
@@ -78,7 +78,7 @@ def choose_model(foam: str | Foam, model: str, backward: bool = False) -> tuple[
     """The foam's data and the model's functions; refuses what the model lacks."""
     if model not in MODEL_FORMS:
         text = f"kerf model: got {model!r}, allowed {', '.join(MODEL_FORMS)}"
-        raise TandemError(Issue("kerf.model", text, field="model", hint="take energy"))
+        raise refusal("kerf.model", text, field="model", hint="take energy")
     data, form = materials.foam(foam) if isinstance(foam, str) else foam, MODEL_FORMS[model]
     missing = [name for name in form.needs if getattr(data, name) is None]
     if form.tables and data.name not in test_cuts.dissertation_tables():
@@ -88,10 +88,10 @@ def choose_model(foam: str | Foam, model: str, backward: bool = False) -> tuple[
         lacks = " and ".join(FIGURE_NAMES.get(name, name) for name in missing)
         text = f"kerf in {data.name} by model {model}: got no {lacks}, allowed {known} or a foam of your own"
         hint = "cut the four squares of problems/kerf_test and run: tandem kerf fit tests.csv"
-        raise TandemError(Issue("kerf.no_data", text, field="foam", hint=hint))
+        raise refusal("kerf.no_data", text, field="foam", hint=hint)
     if backward and form.speed_for is _no_inverse:
         text = f"kerf model for a wanted kerf: got {model}, whose kerf rises and falls with speed"
-        raise TandemError(Issue("kerf.model", text, field="model", hint="take energy"))
+        raise refusal("kerf.model", text, field="model", hint="take energy")
     return data, form
 
 
@@ -266,7 +266,7 @@ def _dense(rows: Callable[[FloatArray], FloatArray], first: float, last: float) 
         if len(table) > MOST_CURVE_POINTS:
             text = f"kerf curve: got {len(table)} speeds and still not read linearly within 1 um"
             hint = "begin at a higher speed, or take less power"
-            raise TandemError(Issue("kerf.input", text, field="speeds", hint=hint))
+            raise refusal("kerf.input", text, field="speeds", hint=hint)
         table = np.sort(np.concatenate([table, middle[coarse]]))
 
 
@@ -326,7 +326,7 @@ def _numbers(**inputs: ArrayLike) -> tuple[FloatArray, ...]:
     except ValueError as error:
         shapes = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
         text = f"shapes of the inputs: got {shapes}, allowed shapes that broadcast"
-        raise TandemError(Issue("kerf.input", text, hint="give one value, or as many of each")) from error
+        raise refusal("kerf.input", text, hint="give one value, or as many of each") from error
     return tuple(arrays.values())
 
 
@@ -335,7 +335,7 @@ def _refuse_narrow(wanted: FloatArray, wire: HotWire) -> None:
     if narrowest <= least:
         text = f"wanted kerf: got {narrowest:.3f} mm, allowed above the wire's own {least:.3f} mm"
         hint = f"ask for {USABLE_KERFS[0] / MM:g} to {USABLE_KERFS[1] / MM:g} mm, or take a thinner wire"
-        raise TandemError(Issue("kerf.impossible", text, value=narrowest, limit=least, unit="mm", hint=hint))
+        raise refusal("kerf.impossible", text, value=narrowest, limit=least, unit="mm", hint=hint)
 
 
 def _possible(found: FloatArray, given: FloatArray, wanted: FloatArray, thickness: FloatArray) -> FloatArray:
@@ -351,5 +351,5 @@ def _possible(found: FloatArray, given: FloatArray, wanted: FloatArray, thicknes
             f"ask for {USABLE_KERFS[0] / MM:g} to {USABLE_KERFS[1] / MM:g} mm, with more power or at "
             "another speed"
         )
-        raise TandemError(Issue("kerf.impossible", text, value=least, unit="mm", hint=hint))
+        raise refusal("kerf.impossible", text, value=least, unit="mm", hint=hint)
     return found

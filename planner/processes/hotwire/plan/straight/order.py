@@ -16,7 +16,7 @@ import shapely
 from planner.claims.segments import Segment, clash
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled, dots
 from planner.geometry.units import MM, measurement
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, refusal
 from planner.problem import Part, Setup, Stock
 from planner.processes.hotwire.plan.operation import BLOCK_SIDES, Straight, SurfaceCut, TrimCut
 from planner.tooling import Bow
@@ -324,7 +324,7 @@ def wanted_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[Wante
             f"{op.name}: two surfaces are called {both[0].name!r} and {both[1].name!r}, which programs "
             "cannot tell apart; rename one"
         )
-        raise TandemError(Issue("problem.duplicate_name", what, field="part"))
+        raise refusal("problem.duplicate_name", what, field="part")
     return out
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.units import DEG, MM
-from planner.issues import Issue, TandemError
+from planner.issues import refusal
 from planner.processes.milling.plan.gcode.state import ROTARY_NAMES, Convention
 from planner.processes.milling.plan.operation import GCodeCut, Milling
 from planner.targets import Action, Targets
@@ -66,16 +66,16 @@ def way_of(operation: object, targets: Targets, values: FloatArray, time: FloatA
     if not isinstance(operation, Milling):
         named = f"'{getattr(operation, 'name', operation)}' ({getattr(operation, 'process', '?')})"
         what = f"G-code is written of milling alone, got the operation {named}; export that as .3dm"
-        raise TandemError(Issue("problem.field", what, field="output"))
+        raise refusal("problem.field", what, field="output")
     arm = operation.arms[0]
     if given := [cut.gcode.file.name for cut in operation.cuts if isinstance(cut, GCodeCut)]:
         what = f"the operation '{operation.name}' cuts by {given[0]}, which is G-code; take that file"
-        raise TandemError(Issue("problem.field", what, field="output"))
+        raise refusal("problem.field", what, field="output")
     if targets.frame[arm] != "stock":
         what = (
             f"the operation '{operation.name}': its targets are in the frame {targets.frame[arm]}, not stock"
         )
-        raise TandemError(Issue("problem.field", what, field="output"))
+        raise refusal("problem.field", what, field="output")
     pose = targets.poses(values)[arm]
     names = [targets.name(i) for i in range(targets.count)]
     tip, axis = pose[:, :3, 3], -pose[:, :3, 2]  # z of the tool points out of the spindle
@@ -94,7 +94,7 @@ def program(title: str, ways: Iterable[Way], machine: Convention) -> str:
             off = f"{error.off / DEG:.2f} deg off at {way.names[error.row]}, allowed {AXIS_OFF / DEG:g} deg"
             what = f"a machine {machine.name} cannot point the tool as '{way.name}' does, {off}"
             hint = "name a machine with two rotary axes"
-            raise TandemError(Issue("problem.field", what, field="machine", hint=hint)) from error
+            raise refusal("problem.field", what, field="machine", hint=hint) from error
     head = [
         f"(job {_plain(title)})",
         f"(for a machine {machine.name}, rotary axes {' '.join(machine.letters)} in degrees)",

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from planner.files import is_file
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.units import DEG
-from planner.issues import Issue, TandemError, aggregate
+from planner.issues import Issue, TandemError, aggregate, refusal
 from planner.processes.milling.plan.gcode import lines, state
 from planner.processes.milling.plan.gcode.moves import (
     CUT_ROW,
@@ -379,7 +379,7 @@ def _chunks(dialect: Dialect) -> Iterator[bytes]:
     path = dialect.file
     if not is_file(path):
         what = f"{path}: no such G-code file; check the path, which starts at the problem file's folder"
-        raise TandemError(Issue("problem.missing_file", what, file=str(path), field=f"{dialect.field}.file"))
+        raise refusal("problem.missing_file", what, file=str(path), field=f"{dialect.field}.file")
     line = 1
     try:
         with path.open("rb") as stream:
@@ -414,4 +414,4 @@ def _text(chunk: bytes, path: object) -> bytes:
 
 def _no_text(path: object, reason: str, line: int | None = None) -> TandemError:
     what = f"{path}: cannot be read as G-code: {reason}; save it as plain text"
-    return TandemError(Issue("gcode.syntax", what, file=str(path), line=line))
+    return refusal("gcode.syntax", what, file=str(path), line=line)
