@@ -437,7 +437,6 @@ def verify(problem: Problem | spec.Problem, programs: Mapping[str, str], process
 
 
 def _proven(problem: Problem, programs: Mapping[str, str], executor: Executor) -> Proof:
-    """The proof of programs; ``executor`` runs independent work."""
     ready()
     from planner.proof import prove
 

@@ -525,7 +525,6 @@ def _document(data: Mapping[str, Any]) -> Document:
 
 
 def _refuse(faults: Sequence[Issue], name: str) -> None:
-    """Raises the faults of a section, with its name."""
     if faults:
         subject = f"{name}: " if name else ""
         raise TandemError(

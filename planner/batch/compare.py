@@ -224,7 +224,6 @@ def _change(
     first: OperationPlan | None,
     second: OperationPlan | None,
 ) -> SegmentChange | None:
-    """What differs in a segment; None where nothing does."""
     seconds = _seconds(first, one), _seconds(second, other)
     counts = _count(one), _count(other)
     if first is None or second is None or one is None or other is None or counts[0] != counts[1]:

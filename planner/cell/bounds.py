@@ -99,7 +99,6 @@ class Bounds:
 
     @functools.cached_property
     def _among(self) -> "dict[frozenset[frozenset[str]], Bounds]":
-        """What :meth:`among` has given."""
         return {}
 
     def always_near(self, poses: Mapping[str, FloatArray]) -> tuple[SolidPair, ...]:
@@ -496,7 +495,6 @@ class Bounds:
 
     @functools.cached_property
     def _body_pairs(self) -> "_BodyPairs":
-        """The pairs of capsules by their bodies."""
         body = self.part[self.pairs]
         code = body[:, 0] * len(self.bodies) + body[:, 1]
         order = np.argsort(code, kind="stable")

@@ -135,7 +135,6 @@ def _require_own(path: Path) -> None:
 
 
 def _name(text: str) -> str:
-    """The URDF's name as a name of ours."""
     found = re.search(r"<robot[^>]*\bname\s*=\s*[\"']([^\"']*)", text)
     plain = re.sub(r"\W+", "_", found[1] if found else "", flags=re.ASCII).strip("_")
     return (plain if plain[:1].isalpha() else f"arm_{plain}")[:24].rstrip("_")
@@ -187,7 +186,6 @@ def _meshes(
 
 
 def _ends(wanted: Path, there: Sequence[Path]) -> list[Path]:
-    """Those of some paths that end as much as any as the one that is wanted."""
     for count in range(len(wanted.parts), 0, -1):
         found = [path for path in there if path.parts[-count:] == wanted.parts[-count:]]
         if found:

@@ -162,7 +162,6 @@ def _measured(
 
 
 def _write(request: Adjust, problem: Problem, operation: str, text: str, limits: Any) -> Path:
-    """Write the problem with its file of adjustments and the scan."""
     from planner import pipeline
     from planner.cli.next_level import require_free
     from planner.processes import registry

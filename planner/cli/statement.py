@@ -189,7 +189,6 @@ def _parsed(armoured: str) -> tuple[bytes, bytes, bytes, bytes, bytes]:
 
 
 def _signed_bytes(message: bytes, hashed: str) -> bytes:
-    """What is signed for a message."""
     parts = (NAMESPACE.encode(), b"", hashed.encode(), hashlib.new(hashed, message).digest())
     return _MAGIC + b"".join(map(_string, parts))
 

@@ -355,7 +355,6 @@ def _few(names: Sequence[str]) -> str:
 
 
 def _size(sides: Sequence[float]) -> str:
-    """Sides [mm] in one line."""
     return "\u00a0x\u00a0".join(f"{float(v):g}" for v in sides)
 
 

@@ -133,7 +133,6 @@ def _placed(panel: Mapping[str, Any], ring: FloatArray, taken: list[_Box], insid
 
 
 def _box(x: float, y: float, letters: int, size: float) -> _Box:
-    """The room of a word about (x, y)."""
     half = 0.5 * _WIDE * letters * size
     return x - half, y - 0.5 * size, x + half, y + 0.5 * size
 

@@ -120,7 +120,6 @@ def _circle(x: float, y: float, r: float) -> str:
 
 
 def _path(way: str) -> Iterator[str]:
-    """A path of M, L and V."""
     x = ""
     for letter, numbers in re.findall(r"([A-Za-z])([^A-Za-z]*)", way):
         places = _NUMBER.findall(numbers)

@@ -127,7 +127,6 @@ def _beams(row: Row, job: SawJob, stand: float) -> list[dict[str, Any]]:
 
 
 def _feet(row: Row, job: SawJob, stand: float) -> list[dict[str, Any]]:
-    """The same on edge."""
     thick = max(job.thickness - BESIDE, 0.5 * job.thickness)
     below = -0.5 * (job.size[row.axis] + stand)
     made = [_bearer(1 - row.axis, foot, 2, thick, row.axis, below, stand) for foot in row.feet]

@@ -214,7 +214,6 @@ def _off_face(panel: PanelRun) -> Iterator[Issue]:
 
 
 def _left(what: str, jobs: Sequence[PanelRun | SawRun], hint: str) -> Iterator[Issue]:
-    """``element.run`` for those without proof."""
     left = [job for job in jobs if not job.proven]
     if not left:
         return

@@ -226,7 +226,6 @@ def _part(panel: WallPanel) -> dict[str, Any]:
 def _row(
     element: Element, panel: WallPanel, laid: Laid, own: PanelBlock, place: str, template: str
 ) -> dict[str, Any]:
-    """A panel's row in the table."""
     block, piece = element.file.blocks[panel.block], panel.piece
     box = zip(("width", "height", "depth"), panel.box.tolist(), strict=True)
     return {

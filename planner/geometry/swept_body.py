@@ -424,7 +424,6 @@ class _Search:
         return np.asarray(low < np.minimum(self.told[own], self.wanted.limit) - SAME_DISTANCE)
 
     def _look(self, own: IntArray, place: IntArray) -> None:
-        """All of these places."""
         off = self._off(self.points.take(own, axis=1), place)
         first = np.flatnonzero(np.diff(own, prepend=-1))
         best = np.repeat(np.minimum.reduceat(off, first), np.diff(np.append(first, len(own))))

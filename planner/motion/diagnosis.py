@@ -271,7 +271,6 @@ def _blocking(
 
 
 def _thing(body: str) -> str:
-    """The arm that a body belongs to, or the body."""
     return body.partition("/")[0]
 
 

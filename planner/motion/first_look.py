@@ -71,7 +71,6 @@ def posture(
 
 
 def _searched(scene: Scene, targets: Targets, row: int) -> dict[str, FloatArray] | list[Issue]:
-    """The same by the search of a path."""
     one = subset(targets, np.array([row]))
     grid, found = find_path(scene, one)
     if not isinstance(found, Blocked):

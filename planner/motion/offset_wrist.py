@@ -135,7 +135,6 @@ class _Condition:
 
 
 def _room(cosine: FloatArray) -> FloatArray:
-    """1 - cosine^2, -1 where the cosine is not known."""
     return np.where(np.isnan(cosine), -1.0, 1.0 - cosine * cosine)
 
 

@@ -204,7 +204,6 @@ class _Trial:
 
     @property
     def _left(self) -> bool:
-        """Whether there is work left to spend."""
         return min(self._looks, self._searches, self._whole) > 0
 
     def moves(self, issue: Issue) -> Remedy | None:

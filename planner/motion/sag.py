@@ -155,7 +155,6 @@ def room(problem: Problem) -> tuple[float, float]:
 
 
 def _standing(problem: Problem, setup: Setup, plan: Plan) -> dict[str, _Standing]:
-    """The arms of a setup, by name."""
     place = plan.places[setup.number - 1]
     claims = {claim.arm: claim for claim in sags(problem, setup)}
     out = {}
@@ -222,7 +221,6 @@ def _feed_axes(feed: FloatArray, axis: FloatArray) -> FloatArray:
 def _operation(
     plan: OperationPlan, arms: Mapping[str, _Standing], settings: Settings
 ) -> tuple[OperationPlan, list[Issue], list[Issue]]:
-    """The operation as commanded, what is told of it, and what refuses it."""
     targets, forced = plan.targets, [own.claim is not None and own.claim.force.any() for own in arms.values()]
     share = working(targets) if any(forced) else np.zeros(targets.count)
     q, told, wrong = dict(plan.q), list[Issue](), list[Issue]()
@@ -377,7 +375,6 @@ def _at(
 
 
 def _beyond(plan: OperationPlan, arm: str, claim: ArmSags, shift: FloatArray) -> list[Issue]:
-    """An issue where a shift is beyond its range."""
     worst = int(np.argmax(shift))
     if shift[worst] <= claim.most:
         return []

@@ -235,7 +235,6 @@ def _asked(way: FloatArray, places: Places, lever: FloatArray, ends: float) -> F
 
 
 def _look(way: FloatArray, also: Places, task: Task, weight: FloatArray, ends: float) -> _Looked:
-    """Looks at a way; ``ends``: the least room at its ends [m]."""
     length = np.abs(np.diff(way, axis=0)) @ task.lever
     spacing = max(LOOK_SPACING_M, float(length.sum()) / MOST_LOOKS)
     count = np.maximum(np.ceil(length / spacing), 2.0).astype(np.intp)

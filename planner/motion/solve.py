@@ -152,8 +152,6 @@ def solve(
 def _advised(
     problem: Problem, targets: Sequence[Targets], operation: int, issues: Sequence[Issue]
 ) -> list[Issue]:
-    """The issues of an operation that has no path, with a change that helps."""
-
     def plans(changed: Problem) -> bool:
         try:
             _solve(changed, targets, _silent, [0])
@@ -415,7 +413,6 @@ def _settle(
     executor: Executor = SERIAL,
     former: Former | None = None,
 ) -> _Settled:
-    """A place and the plans of all operations of one stand."""
     stages = {}
     lap = time.perf_counter()
     work = _PlacementSearch(problem, stand, stand.models(), at, tell, executor)

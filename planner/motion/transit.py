@@ -146,7 +146,6 @@ class _Transit:
         return ok
 
     def _moved(self, motions: FloatArray, segment: Segment) -> Targets:
-        """Target i - 1 at motions (K, 4, 4), as targets of a segment."""
         rows = np.zeros(len(motions), dtype=np.intp)
         return moved(subset(self.source, rows), motions, segment)
 

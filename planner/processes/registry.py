@@ -72,7 +72,6 @@ def _fault_of_claims(name: str) -> str:
 
 
 def _fault_of_schema(schema: type) -> str:
-    """Say what a schema lacks of an operation."""
     if not issubclass(schema, BaseModel):
         return f"has the schema {schema.__name__}, which is no pydantic model"
     lacking = [name for name in ("name", "process", "arms") if name not in schema.model_fields]

@@ -98,7 +98,6 @@ def _read_whole(problem: Problem, reader: Reader, together: Arms, name: str, fil
 
 
 def _one_a_line(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """The first fault of each line, in order."""
     first: dict[tuple[str, int], Fault] = {}
     for fault in faults:
         first.setdefault((fault.file, fault.line), fault)

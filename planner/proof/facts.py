@@ -62,7 +62,6 @@ class Facts(Generic[Subject]):
         return out
 
     def __contains__(self, fact: Fact[Subject, Any]) -> bool:
-        """Whether a fact has been built."""
         return fact.name in self._values
 
     def __getstate__(self) -> dict[str, Any]:

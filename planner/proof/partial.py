@@ -206,7 +206,6 @@ def _prove(
     start: FloatArray,
     count: _Count,
 ) -> None:
-    """Replays a stretch and counts its moves."""
     keys = [_key(one, move) for move in run]
     if count.looks > _MOST_LOOKS or count.sums[2] > LONGEST_MOTION:
         for key in keys:

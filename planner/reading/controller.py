@@ -420,7 +420,6 @@ def _numbers(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
 
 
 def _waited(operation: Operation) -> str | None:
-    """The input that an operation waits for, if it does."""
     name = getattr(operation, "ok_signal", None)
     return name if isinstance(name, str) else None
 
@@ -430,7 +429,6 @@ _BY_SPINDLE: Final = ("milling", "trim")
 
 
 def _powered(operation: Operation) -> str:
-    """What the signal of an operation powers."""
     if lights_torch(operation):
         return "torch"
     if getattr(getattr(operation, "by", None), "kind", "") == "knife":

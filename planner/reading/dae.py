@@ -105,7 +105,6 @@ def _by_colour(model: Any) -> dict[Colour | None, list[FloatArray]]:
 
 
 def _colour(material: Any) -> Colour | None:
-    """The colour of a material, None of none and of textures."""
     diffuse = getattr(getattr(material, "effect", None), "diffuse", None)
     if not isinstance(diffuse, tuple) or len(diffuse) < 3:
         return None

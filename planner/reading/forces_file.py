@@ -219,7 +219,6 @@ def _key(one: Asked, level: str, point: str) -> tuple[int, int] | tuple[str, str
 
 
 def _off_place(file: str, line: int, known: FloatArray | None, point: int, got: FloatArray) -> list[Issue]:
-    """Places that are no figures, or not where the points are."""
     if not (np.abs(got) <= FARTHEST * MM).all():
         what = f"got {got[0] / MM:g}, {got[1] / MM:g}, allowed are figures within {FARTHEST:g} mm"
         return [_fault(file, line, PLACE[0], what, "give where the point is in the sheet's frame, in mm")]

@@ -173,7 +173,6 @@ def advised(problem: Problem, found: Sequence[Issue]) -> list[Issue]:
 
 
 def _of(setup: Setup, issue: Issue) -> bool:
-    """Whether an issue is of how the block of a setup is held."""
     field = f"operations.{setup.operations[0]}.setup" if setup.number > 1 else "stock"
     return issue.code in ("stock.footprint", "stock.grip_force") and (issue.field or "").startswith(field)
 

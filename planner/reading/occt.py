@@ -132,7 +132,6 @@ def _parts(shape: Any, kind: Any, outside: Any = None) -> Iterator[Any]:
 
 
 def _name(reader: Any, shape: Any) -> list[str]:
-    """The name of the entity that a shape comes from."""
     session = reader.ChangeReader().WS() if hasattr(reader, "ChangeReader") else reader.WS()
     entity = session.TransferReader().EntityFromShapeResult(shape, 1)
     for key in ("Name", "NameValue"):
@@ -144,7 +143,6 @@ def _name(reader: Any, shape: Any) -> list[str]:
 
 
 def _colour(colours: Any, shape: Any) -> str | None:
-    """'#rrggbb' as it is shown."""
     from OCP.Quantity import Quantity_Color
     from OCP.XCAFDoc import XCAFDoc_ColorGen, XCAFDoc_ColorSurf
 

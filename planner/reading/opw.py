@@ -443,7 +443,6 @@ def _base_axes(
 
 
 def _base(foot: FloatArray, side: FloatArray, up: FloatArray) -> FloatArray:
-    """The form's base (4, 4)."""
     return _clean(from_parts(np.stack([np.cross(side, up), side, up], axis=1), foot))
 
 

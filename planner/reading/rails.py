@@ -170,7 +170,6 @@ def _axis(spec: TrackFile | GantryAxisFile, column: int) -> LinearAxis:
 
 
 def _faults(spec: LinearAxisFile) -> list[tuple[str, str]]:
-    """What is wrong with an axis by itself, by field."""
     out = []
     low, high = spec.range_mm
     if not float(np.linalg.norm(spec.axis)) > LEAST_AXIS:
@@ -195,7 +194,6 @@ def _faults(spec: LinearAxisFile) -> list[tuple[str, str]]:
 
 
 def _carried(spec: LinearAxisFile, bodies: Sequence[str]) -> list[tuple[str, str]]:
-    """What is wrong with what an axis carries."""
     out = []
     for name in dict.fromkeys(spec.carries):
         if name not in bodies:

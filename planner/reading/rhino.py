@@ -264,7 +264,6 @@ def _is_asked(one: Any, spec: RhinoFile, layers: dict[int, Any], model: Any) -> 
 
 
 def _is_hidden(one: Any, layers: dict[int, Any]) -> bool:
-    """Whether an object, its layer or one that its layer is in is off."""
     if not one.Attributes.Visible:
         return True
     layer = layers.get(one.Attributes.LayerIndex)

@@ -207,7 +207,6 @@ def _key(node: Any, step: str, path: str) -> str | int:
 
 
 def _with_absolute_files(value: Any, folder: Path, key: str) -> Any:
-    """The value with names of files made absolute."""
     if key in FILE_KEYS and isinstance(value, str):
         return str((folder / value).resolve())
     if isinstance(value, dict):

@@ -210,7 +210,6 @@ def _links(root: ET.Element) -> dict[str, ET.Element]:
 
 
 def _joints(root: ET.Element, links: dict[str, ET.Element]) -> dict[str, ET.Element]:
-    """The joint that each link hangs on."""
     above: dict[str, ET.Element] = {}
     names: set[str] = set()
     for joint in root.findall("joint"):
@@ -266,7 +265,6 @@ def _tip(links: dict[str, ET.Element], above: dict[str, ET.Element], base: str, 
 
 
 def _way(above: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
-    """The joints from the base to the tip."""
     way: list[ET.Element] = []
     link = tip
     while link != base:
@@ -282,8 +280,6 @@ def _way(above: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
 
 
 def _faults(way: list[ET.Element]) -> Iterator[Issue]:
-    """What an arm's chain cannot have."""
-
     def fault(joint: ET.Element, what: str, hint: str) -> Issue:
         name = joint.get("name") or ""
         return Issue("robot.chain", f"joint {name!r}: {what}; {hint}", field="urdf", bodies=(name,))
@@ -477,7 +473,6 @@ def _bad_inertia(link: ET.Element) -> bool:
 
 
 def _origin(element: ET.Element, name: str | None, snap: bool = True) -> FloatArray:
-    """The pose (4, 4) that an element's <origin> states."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)

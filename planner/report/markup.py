@@ -352,7 +352,6 @@ def render(block: Block) -> str:
 
 
 def _arranged(block: Group | Grid | Column | Wide | Folded) -> str:
-    """Blocks that hold others."""
     match block:
         case Group(items, apart):
             shown = [render(item) for item in items]

@@ -300,7 +300,6 @@ def _left(film: _Film, problem: Problem, plan: Plan, run: Track) -> None:
 
 
 def _groups(setup: Setup, place: FloatArray) -> dict[str, list[scenes.Piece]]:
-    """Pieces of a setup by the body that they belong to."""
     out: dict[str, list[scenes.Piece]] = {}
     for piece in scenes.mounted(setup, place):
         out.setdefault(piece.body, []).append(piece)
@@ -308,7 +307,6 @@ def _groups(setup: Setup, place: FloatArray) -> dict[str, list[scenes.Piece]]:
 
 
 def _same_looks(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
-    """Whether two groups look the same."""
     return len(one) == len(other) and all(
         a.solid.vertices.shape == b.solid.vertices.shape
         and np.allclose(a.solid.moved(a.pose).vertices, b.solid.moved(b.pose).vertices, atol=1e-9)
@@ -357,7 +355,6 @@ def _view(model: CellModel, problem: Problem, run: Track, tips: dict[str, FloatA
 
 
 def _changes(values: IntArray) -> IntArray:
-    """Where a series begins and changes."""
     return (
         np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1]) if len(values) else np.zeros(0, np.int64)
     )

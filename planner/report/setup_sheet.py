@@ -334,7 +334,6 @@ def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, 
 
 
 def _listed(phrases: Sequence[Phrase]) -> Phrase:
-    """Phrases with commas between them."""
     return markup.Joined(tuple(part for one in phrases for part in (", ", one))[1:])
 
 

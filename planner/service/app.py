@@ -420,7 +420,6 @@ async def _failed(request: Request, error: Exception) -> JSONResponse:
 
 
 def _of_request(request: Request) -> dict[str, Any]:
-    """What a record tells of a request."""
     known = getattr(request.state, "request_id", None)
     return {"request": known, "method": request.method, "path": request.url.path}
 

@@ -243,7 +243,6 @@ def _check_empty(connection: Connection) -> None:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
-    """An SQLite file that is there."""
     if not path.is_file():
         raise _refused(f"database {path}: there is none; give --data and --database as the service has them")
     return sqlite3.connect(path, timeout=60.0)

@@ -343,7 +343,6 @@ def _path(looked: _Looked, operation: int, made: axis_map.AxisMap, plan: Plan | 
 
 
 def _some(values: FloatArray) -> list[list[float | None]]:
-    """Numbers to a tenth, None where there are none."""
     return [[round(float(v), 1) if np.isfinite(v) else None for v in row] for row in values]
 
 

@@ -46,7 +46,6 @@ def report(db: Connection, element: str) -> JobOut | None:
 
 
 def _planned(planned: Problem | None) -> dict[str, Any]:
-    """What is told of a problem's last job."""
     if planned is None:
         return {}
     job = planned.row

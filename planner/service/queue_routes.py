@@ -127,7 +127,6 @@ async def batch(
 
 
 def _value(text: str) -> Any:
-    """A value as JSON has it, or a word."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError):

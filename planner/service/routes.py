@@ -185,7 +185,6 @@ def job_of(job: str, who: Who, here: Service) -> JobOut:
 
 
 def _is_in_scope(who: Who, job: JobOut) -> bool:
-    """Whether a job of a team is one that the token's scope has."""
     if who.scope != "released":
         return True
     return job.released and (who.tag is None or finding.is_tagged(job.tags, who.tag))

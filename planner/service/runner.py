@@ -316,7 +316,6 @@ ROOM_S: Final = 20.0
 
 
 def _of(claimed: Claimed) -> dict[str, Any]:
-    """What a record tells of a job."""
     return {"jobs": [claimed.id]}
 
 
@@ -513,7 +512,6 @@ class Runner(threading.Thread):
         shutil.rmtree(folder, ignore_errors=True)
 
     def _stage_ended(self, name: str) -> None:
-        """Count the stage in which a job is, if it is in one."""
         stage, began = self._stages.pop(name, ("", 0.0))
         if stage:
             metrics.staged(stage, time.monotonic() - began)

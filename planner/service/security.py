@@ -460,7 +460,6 @@ class _Body:
         self.ended = False
 
     async def __call__(self) -> Message:
-        """ASGI."""
         if self.ended:  # what comes is that the client goes
             return await self._receive()
         now = time.monotonic()
@@ -494,7 +493,6 @@ class Guard:
         self._app, self._limit_mb, self._open_hosts, self._closed = app, upload_mb, open_hosts, closed
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

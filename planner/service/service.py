@@ -447,7 +447,6 @@ def _go_on(pieces: Pieces[Read]) -> list[Read]:
 
 
 def _log_in(database: Database, auth: Auth, oidc: Oidc) -> LogIn:
-    """What logs people in; of an extra."""
     from planner.service.oidc import LogIn
 
     return LogIn(database, auth, oidc)

@@ -116,7 +116,6 @@ def knife(
 
 
 def _solid(blade: Blade, tcp: FloatArray) -> Shape:
-    """The blade, an outline as thick as it is."""
     flat = blade.corners
     if blade.ground == 0.0:
         flat = np.delete(flat, 2, axis=0)

@@ -53,7 +53,6 @@ def _checks(setup: ControllerSetup) -> list[Check]:
 
 
 def _running_wires(problem: Problem, arm: str) -> list[Check]:
-    """The places of the running wires' ends."""
     own, lock = problem.cell.controller.handshake.of(arm), problem.cell.controller.interlock
     places = [(name, lock.place(arm, name)) for name in (own.running, own.partner_running)]
     return [
@@ -91,7 +90,6 @@ def _rails(arm: Arm, robot: str) -> list[Check]:
 
 
 def _units(table: Turntable) -> list[Check]:
-    """The mechanical unit of a turntable or positioner."""
     column, task = f"number {table.column + 1} ({_eax(table.column)})", f"of the task of arm {table.arm}"
     what = f"there, one rotary axis, external axis {column} {task}, in deg"
     if table.tilt is not None:

@@ -91,7 +91,6 @@ def _job(plan: Plan, problem: Problem) -> Job:
 
 
 def _by_language(job: Job) -> list[tuple[Writer, list[TaskProgram]]]:
-    """The tasks of each language, in the order of the languages."""
     in_use = writers_in_use(task.arm for task in job.tasks)
     return [(writer, [task for task in job.tasks if writer_of(task.arm) is writer]) for writer in in_use]
 
@@ -133,7 +132,6 @@ def _controller_files(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
 
 
 def _controllers(job: Job, sync: str) -> list[tuple[str, Sequence[TaskProgram]]]:
-    """The folder and the tasks of each controller."""
     first = job.tasks[0]
     if sync == "multimove" and sync in writer_of(first.arm).syncs:
         return [(first.task, job.tasks)]

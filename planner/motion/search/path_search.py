@@ -199,7 +199,6 @@ class _Skeleton:
 
 
 def _one(targets: Targets, arm: str) -> Targets:
-    """The targets of one arm, with its freedoms."""
     return dataclasses.replace(
         targets,
         arms=(arm,),
@@ -362,7 +361,6 @@ def _closed(scene: Scene, targets: Targets, dead: Dead) -> bool:
 
 
 def _end(found: Blocked) -> int:
-    """The target that no path passes."""
     if found.dead is not None:
         return found.dead.index
     ends = [int(np.argmin(r.exists, axis=1).max()) for r in found.reach.values() if not r.branches]

@@ -291,7 +291,6 @@ class Avoid:
         self._mask = self._mask[source]
 
     def _ask(self, q: FloatArray, index: IndexArray) -> None:
-        """Measures at the rows ``index`` of q."""
         if not len(index):
             return
         self.asked += len(index)

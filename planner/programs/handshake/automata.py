@@ -340,7 +340,6 @@ class _Reader:
         self._add("wait", self.reads[step.signal.lower()], int(step.value == 1.0), i)
 
     def _look(self, i: int, step: WaitStep) -> None:
-        """A look at the other one's running wire."""
         if step.value not in (0.0, 1.0):
             self._fault(f"it waits for {step.signal} to be neither 0 nor 1", step)
         if step.flag and not self._stops(i, step):

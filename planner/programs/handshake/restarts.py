@@ -262,7 +262,6 @@ def _seen(move: Move, other: int) -> bool:
 
 
 def _passes(move: Move, own: int, other: int) -> bool:
-    """Whether a check goes on."""
     line = bool(other & _LINE_READ) == bool(move.value)
     return line and bool(other & _RUNS_READ) and bool(own & _RUNS) == move.own
 

@@ -66,7 +66,6 @@ def read_chain(text: str, base: str = BASE_LINK, tip: str = TIP_LINK, own: bool 
 
 
 def _way(above: dict[str, ET.Element], base: str, tip: str) -> list[ET.Element]:
-    """The joints from the base to the tip."""
     way: list[ET.Element] = []
     link = tip
     while link != base:

@@ -191,13 +191,11 @@ def _ply(data: bytes) -> Facets:
 
 
 def _first_list(data: bytes) -> str | None:
-    """The first property of a face that is a list."""
     faces = [element for element in _ply_elements(_ply_head(data)[0]) if element.name == "face"]
     return next((name for one in faces for name, _, count in one.properties if count is not None), None)
 
 
 def _ply_columns(data: bytes) -> dict[str, Mapping[str, Any]]:
-    """Columns of each element of a PLY file, by name."""
     head, body = _ply_head(data)
     form = next((line[1] for line in head if line[0] == "format"), "")
     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)

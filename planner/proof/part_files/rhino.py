@@ -122,7 +122,6 @@ class _Patch:
 
 
 def _surface(said: Said) -> _Patch:
-    """The one face that is asked for."""
     model, size = _model(said)
     found = [
         (one, brep)

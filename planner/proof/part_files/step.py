@@ -77,7 +77,6 @@ def _metres(said: Said) -> float:
 
 
 def _arrays(asked: dict[str, Any]) -> dict[str, Any]:
-    """What is wanted of the one face that is asked for."""
     from OCP.BRep import BRep_Tool
     from OCP.BRepTools import BRepTools
     from OCP.GeomAdaptor import GeomAdaptor_Surface

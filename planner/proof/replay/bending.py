@@ -192,7 +192,6 @@ def _off(arm: Bent, q: FloatArray, links: FloatArray) -> FloatArray:
 
 
 def _pieces(rows: IntArray) -> list[IntArray]:
-    """Rows in pieces that are worked on together."""
     return [rows[i : i + POSTURES_TOGETHER] for i in range(0, len(rows), POSTURES_TOGETHER)]
 
 

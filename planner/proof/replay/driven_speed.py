@@ -105,7 +105,6 @@ def peak_speeds(seen: Seen, ends: Ends, span: FloatArray) -> FloatArray:
 
 
 def _steps(seen: Seen, ends: Ends, span: FloatArray, count: int) -> FloatArray:
-    """The fastest (M,) of the steps."""
     share = ((np.arange(count + 3) - 1.0) / count)[:, None]
     a, b, va, vb = (one[:, None] for one in ends)
     place = seen.places(cubic(a, b, va, vb, span[:, None, None], share))

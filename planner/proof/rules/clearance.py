@@ -123,7 +123,6 @@ def measured(models: Models, some: Sequence[Looks], settings: Settings) -> Itera
 
 
 def _missing(model: CellModel, ignore: Pairs) -> list[str]:
-    """Bodies of pairs that are to be ignored, which the model has not."""
     return sorted({name for pair in ignore for name in pair} - {s.body for s in model.solids})
 
 

@@ -146,7 +146,6 @@ def _waits_as(own: Step, step: DialogueStep) -> bool:
 
 
 def _run(rest: Sequence[Spoken], kind: str) -> list[MessageStep]:
-    """The messages of one kind at the front."""
     run = itertools.takewhile(lambda one: one.kind == kind, rest[:MOST_LINES])
     return [one.step for one in run if isinstance(one.step, MessageStep)]
 

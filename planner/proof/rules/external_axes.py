@@ -231,7 +231,6 @@ def _left_behind(context: Context) -> Iterator[Issue]:
 
 
 def _moved(context: Context, table: Turntable) -> Iterator[Issue]:
-    """A turntable that no program moves."""
     if all(task.arm.name != table.arm for task in context.job.tasks):
         what = f"{table.unit} is moved by the program of {table.arm}, which is not there"
         yield Issue(EXTERNAL_AXES, what, arm=table.arm)

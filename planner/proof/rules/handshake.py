@@ -86,7 +86,6 @@ class Words:
                 return f"is told that the other arm is ready {at}"
 
     def _where(self, program: int, finding: Finding) -> str:
-        """Where a program stands, and for what."""
         arm, action = self.arms[program], self._action(program, finding.places[program])
         if action is None:
             return f"{arm} has come to its end"

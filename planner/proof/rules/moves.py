@@ -79,7 +79,6 @@ def unknown_start_outcome(task: TaskText, move: MoveStep, share: float, faults: 
 
 
 def _words(move: MoveStep) -> str:
-    """What a move states of its speed."""
     if move.speed.axes is not None:
         return f"{100.0 * max(move.speed.axes):g} % of each axis"
     speed = move.speed.tcp if move.velocity is None else move.velocity

@@ -92,7 +92,6 @@ def part_file(context: Context) -> Outcome:
 
 
 def _surfaces(context: Context, part: Any, found: _Found) -> None:
-    """Surfaces of a block."""
     block = np.asarray(context.problem.stock.size)
     made = [one.made_surfaces for one in of_processes(context.problem) if one.made_surfaces is not None]
     wanted = [

@@ -54,7 +54,6 @@ def corners(context: Context) -> Outcome:
 
 
 def _faults(context: Context, code: str, kinds: tuple[str, ...], hint: str | None = None) -> Outcome:
-    """What the replay could not follow."""
     findings = Findings(code, context)
     for fault in context.motion.faults:
         if fault.kind in kinds:
@@ -337,7 +336,6 @@ def robot_model(context: Context) -> Outcome:
 
 
 def _from_files(source: Mapping[str, Any], cell: Cell) -> Iterator[tuple[Mapping[str, Any], RobotData]]:
-    """What the problem states of each robot from a file, and its data."""
     stated = source.get("cell", {}).get("arms", []) if isinstance(source.get("cell"), Mapping) else []
     for arm, own in zip(cell.arms, stated, strict=False):
         if arm.given is not None:

@@ -154,7 +154,6 @@ _OTHERS = _DECLARATION | _PERS | _NAMES | _LINES | _SIZES | _NUMBERS | _FILES
 
 
 def _faults(context: Context, code: str, kinds: Collection[str], hint: str) -> Outcome:
-    """The faults of reading of some kinds."""
     return _outcome(code, [fault for fault in context.job.faults if fault.kind in kinds], hint)
 
 

@@ -219,7 +219,6 @@ def _stands(choice: ChoiceStep, key: str) -> bool:
 
 
 def _longest(slot: _Slot) -> tuple[str, Step | None]:
-    """The task and step that waits for longest."""
     found = [
         (step.pause, name, step)
         for name, steps in slot.steps.items()

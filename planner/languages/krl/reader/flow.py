@@ -126,7 +126,6 @@ class Runner:
             self._close(body[-1].line if body else 1)
 
     def _hear(self, statement: syntax_tree.Statement) -> None:
-        """What the panel shows and asks by a statement."""
         try:
             self.panel.check(statement, self.depth)
             self._say(statement)
@@ -141,7 +140,6 @@ class Runner:
             self._fail(line, str(wrong))
 
     def _say(self, statement: syntax_tree.Statement) -> None:
-        """A step for what a statement shows."""
         said = self.panel.take(statement, self.depth)
         if self.on and self.panel.halts(statement):
             self._fail(statement.line, f"the program may halt while $OUT[{min(self.on)}] is on")

@@ -312,7 +312,6 @@ def block(line: int, rows: Iterator[tuple[int, str, list[Said]]]) -> Spline:
 
 
 def _points(items: list[Point | Said]) -> int:
-    """How many points are among the items."""
     return sum(isinstance(item, Point) for item in items)
 
 

@@ -124,7 +124,6 @@ def spline(context: Context) -> Outcome:
 
 
 def _refused(context: Context, found: list[Block]) -> list[Issue]:
-    """Jobs in which blocks are not proven."""
     issues = []
     controller, first = context.problem.cell.controller, found[0]
     if controller.path != "spline":

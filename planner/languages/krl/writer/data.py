@@ -86,7 +86,6 @@ def near_zero(robot: RobotData, q: FloatArray) -> IntArray:
 
 
 def _rounded(robot: RobotData, q: FloatArray) -> FloatArray:
-    """The controller's joints (..., 6) [rad], rounded."""
     return np.deg2rad(np.round(np.rad2deg(robot.to_controller(q)), DEGREE_DECIMALS))
 
 

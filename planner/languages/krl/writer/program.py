@@ -348,7 +348,6 @@ def write(
 def _lines(
     task: layout.TaskProgram, plan: Plan, problem: Problem, data: Data
 ) -> list[linear_moves.Lines | None]:
-    """The text of the moves of each operation."""
     controller = problem.cell.controller
     rows = spline_blocks.operation_rows(task, data)
     lines = [
@@ -381,7 +380,6 @@ def _files(
     split: Sequence[layout.Part],
     moves: Sequence[linear_moves.Lines | None],
 ) -> dict[str, str]:
-    """The files of one task."""
     stem = name(problem.name, _STEM_LENGTH)
     main = Main(task, job, plan, problem, data, split, moves, stem)
     body = main.lines()

@@ -106,7 +106,6 @@ _NO_AXES = read_only(np.array(_NO_AXIS_VALUES))
 
 @functools.lru_cache(maxsize=256)
 def _one_configuration(four: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    """The same numbers: those of all targets that have them."""
     return four
 
 

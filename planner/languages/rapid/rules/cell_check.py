@@ -74,7 +74,6 @@ def _shown_call(call: str) -> str:
 
 
 def _called(task: TaskText) -> bool:
-    """Whether ``main`` begins with the call."""
     mains = [p for module in modules_of(task.text) for p in module.procedures if p.name.lower() == "main"]
     for statement in mains[0].body if len(mains) == 1 else ():
         if isinstance(statement, ProcCall):
@@ -116,7 +115,6 @@ def _axes_parts(rest: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
 
 
 def _axes_wanted(axes: Sequence[OuterAxis]) -> list[str]:
-    """What that procedure has to look at."""
     text = "VAR jointtarget cfg_here; cfg_here:=CJointT();" if axes else ""
     for axis in sorted(axes, key=lambda one: one.column):
         here = f"cfg_here.extax.eax_{'abcdef'[axis.column]}"
@@ -176,7 +174,6 @@ def _compared(name: str, kind: str, value: Sequence[str]) -> str:
 
 
 def _raw(task: TaskText, name: str) -> list[str]:
-    """The components of a declaration, as its text has them."""
     for path, text in task.files.items():
         if CHECK_MODULE.match(PurePosixPath(path).name):
             continue

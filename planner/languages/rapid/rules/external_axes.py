@@ -24,7 +24,6 @@ def looks_at(context: Context, axis: OuterAxis, step: SettingStep) -> bool:
 
 
 def _units(task: TaskText, axes: Sequence[OuterAxis]) -> Iterator[Issue]:
-    """What is wrong with the units that a task switches."""
     on, moved = dict.fromkeys((axis.mechanism.lower() for axis in axes), 0), False
     names = {axis.mechanism.lower(): axis.mechanism for axis in axes}
     for step in task.steps:

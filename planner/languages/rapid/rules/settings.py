@@ -43,7 +43,6 @@ def undo(context: Context) -> Outcome:
 
 
 def _procedures(task: TaskText) -> Iterator[tuple[Module, Procedure]]:
-    """All procedures of a task, each with its module."""
     for module in modules_of(task.text):
         for procedure in module.procedures:
             yield module, procedure
@@ -57,7 +56,6 @@ def _add(
     faults: Iterable[str],
     hint: str | None = None,
 ) -> None:
-    """Add issues about a procedure."""
     file = f"{task.name}/{module.name}"
     for what in faults:
         findings.add(what, arm=task.arm.name, file=file, line=procedure.line, field=procedure.name, hint=hint)
@@ -169,7 +167,6 @@ def hidden(context: Context, task: TaskText) -> Outcome:
 
 
 def _system(module: Module) -> tuple[str, ...]:
-    """What a module is by the name of its file."""
     return ("sysmodule",) if PurePosixPath(module.file).suffix.lower().startswith(".sys") else ()
 
 

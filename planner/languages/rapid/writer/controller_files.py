@@ -271,7 +271,6 @@ def _asked(flag: str, lines: Sequence[str], buttons: Sequence[str]) -> list[str]
 
 
 def _refused(lines: Sequence[str], stop: str) -> list[str]:
-    """Any other answer stops again."""
     told = [f"        TPWrite {quoted(line)};" for line in lines]
     return ["      ELSE", *told, f"        {stop}", "      ENDIF", "    ENDWHILE"]
 

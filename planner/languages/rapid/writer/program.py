@@ -153,7 +153,6 @@ def _zones(job: layout.Job, operation: int) -> dict[int, NameArray]:
 def _moves(
     task: layout.TaskProgram, job: layout.Job, zone: Sequence[Mapping[int, NameArray]]
 ) -> list[list[str]]:
-    """The move instructions of each operation."""
     out: list[list[str]] = []
     tools = Tools(task)
     for i, program in enumerate(task.operations):

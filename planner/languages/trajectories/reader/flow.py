@@ -216,7 +216,6 @@ class _Runner:
         return self._known(operation.line, block), BLOCK
 
     def _known(self, key: int, made: steps.WorkObject) -> steps.WorkObject:
-        """One object for one frame of an operation."""
         line = 0 if self.operation is None else self.operation.line
         return self.frames.setdefault((line, key), made)
 

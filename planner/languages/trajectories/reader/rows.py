@@ -297,7 +297,6 @@ def _program(file: str, lines: Sequence[str], found: Sequence[Any]) -> Program:
 
 
 def _signals(row: Row) -> tuple[str, ...]:
-    """The signals that a row names."""
     match row:
         case SetRow(signal=name):
             return (name,)

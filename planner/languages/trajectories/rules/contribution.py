@@ -12,7 +12,6 @@ from planner.proof.rule import Outcome
 
 
 def _unknown_start(context: Context, task: TaskText) -> Outcome:
-    """Return that no start is unknown, by verify.start_posture."""
     return Outcome(nothing="each move begins where it was looked at")
 
 

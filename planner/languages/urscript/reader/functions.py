@@ -87,7 +87,6 @@ def _await(line: int, word: str, words: Line, rows: Rows) -> syntax_tree.Ending:
 
 
 def _watch(line: int, words: Line, rows: Rows) -> syntax_tree.Ending:
-    """The thread that watches the other program."""
     words.rest("():")
     number, own = next_line(rows).rest("while", input_read, "and", output_read, ":")
     must_be(rows, "sync()", "end")

@@ -42,7 +42,6 @@ class Word:
 
 
 def _words(code: str) -> tuple[Word, ...]:
-    """The words of a line."""
     out: list[Word] = []
     place = 0
     code = code.rstrip()

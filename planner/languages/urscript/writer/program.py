@@ -180,7 +180,6 @@ class _Main:
         return out
 
     def _watched(self) -> list[str]:
-        """What waits for torches, and what watches them."""
         off = [self._switch(signal, False) for signal in self.job.switched(self.task)]
         out: list[str] = []
         for torch in dict.fromkeys(self.torches.values()):

@@ -332,7 +332,6 @@ class Forming(Strict):
         return self
 
     def _some_features(self) -> None:
-        """What features of its own ask of an operation."""
         if self.features is None:
             return
         if len(set(self.features)) != len(self.features) or min(self.features) < 1:
@@ -376,7 +375,6 @@ class Forming(Strict):
             raise ValueError(what + "together they have to press the former's way")
 
     def _one_level(self) -> None:
-        """What a level asks of its operation."""
         if self.level is None:
             return
         if self.mode not in LEVEL_MODES:

@@ -184,7 +184,6 @@ def _heads(op: Forming, setup: Setup) -> dict[str, FormingHead]:
 
 
 def _require_sides(op: Forming, made: tuple[Pass, ...]) -> None:
-    """Every pass needs a ball on its side of the sheet."""
     balls = {"top"} if len(op.arms) == 2 and op.mode == "heat" else {"top", "bottom"}
     balls = {op.side} if len(op.arms) == 1 else balls
     wrong = [one for one in made if ("top" if one.side > 0 else "bottom") not in balls]

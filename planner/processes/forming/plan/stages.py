@@ -274,7 +274,6 @@ def _of_hole(what: str, value: float | None, margin: float, hint: str) -> Issue:
 
 
 def _moved(one: Pass) -> shapely.Geometry:
-    """What a pass moves, in plan."""
     return shapely.Polygon(one.region[:, :2]).buffer(0.0)
 
 

@@ -120,7 +120,6 @@ def _of_file(
 
 
 def _levels(op: Forming, one: Pass, found: Measured, step: float) -> tuple[Row, ...]:
-    """The levels of a pass, by z."""
     out = []
     for number, (force, place) in enumerate(zip(found.force, found.place, strict=True)):
         begin, end = heights(one, step, number)

@@ -135,7 +135,6 @@ def _off_points(level: Level, node: IntArray, points: FloatArray) -> FloatArray:
 
 
 def _off_ways(level: Level, node: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """As :func:`_off_points`, of straight ways."""
     normal, centre = level.normal[node], level.centre[node]
     one, two = start - centre, end - centre
     low, high = dots(one, normal), dots(two, normal)
@@ -388,7 +387,6 @@ def centres(face: Face, points: FloatArray, normals: FloatArray, radius: float, 
 
 
 def _centres(face: Face, points: FloatArray, normals: FloatArray, radius: float, side: int) -> FloatArray:
-    """As :func:`centres`, of not too many points at once."""
     found = points + side * radius * normals
     rows = np.arange(len(points))
     # each plane as its unit normal, and how far along it a centre is at least

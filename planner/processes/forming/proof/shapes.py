@@ -304,7 +304,6 @@ def _alike(one: Passed, two: Passed) -> bool:
 
 
 def _rim_level(part: FormsPart) -> float:
-    """The level [m] of the part's edge."""
     edge = np.sort(np.stack([part.faces, np.roll(part.faces, -1, axis=1)], -1).reshape(-1, 2), axis=1)
     found, count = np.unique(edge, axis=0, return_counts=True)
     rim = np.unique(found[count == 1])

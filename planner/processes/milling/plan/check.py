@@ -242,7 +242,6 @@ def _clear(
 
 
 def _edges(section: Section) -> tuple[Section, ...]:
-    """Slices of a section at its sharp edges."""
     front = dataclasses.replace(section, end=min(section.end, section.start + EDGE_BACK))
     back = dataclasses.replace(section, start=max(section.start, section.end - EDGE_BACK), corner=0.0)
     return (back,) if section.corner > 0.0 else (front, back)

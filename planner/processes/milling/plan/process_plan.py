@@ -100,7 +100,6 @@ def _stretches(cutting: BoolArray) -> Iterator[tuple[int, int]]:
 
 
 def _amid(events: Sequence[Event], stretches: Sequence[tuple[int, int]], file: str) -> Iterator[Issue]:
-    """Pauses with the tool in the stock."""
     for event in events:
         if event.kind == "pause" and any(first < event.at - 1 < last for first, last in stretches):
             what = "M0 or M1 amid a cut: the spindle would stop in the stock; lead the tool off by G0 before"

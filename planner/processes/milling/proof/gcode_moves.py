@@ -154,7 +154,6 @@ def _meant(own: Lines, stated: ProgramFile) -> None:
 
 
 def _modes(own: Lines, moving: BoolArray) -> None:
-    """Moves need what they count in."""
     refuse(moving & np.isnan(own.motion), own.line, "a move without G0, G1, G2 or G3")
     refuse(moving & np.isnan(own.absolute), own.line, "neither G90 nor G91")
     refuse(own.has("XYZR") & np.isnan(own.unit), own.line, "neither G20 nor G21")

@@ -296,7 +296,6 @@ def worked_out(claims: Claims) -> tuple[Claims, tuple[Issue, ...]]:
 
 
 def _group(group: tuple[Claim, ...], issues: list[Issue]) -> Iterator[Claim]:
-    """The claims of an operation."""
     programs = [claim for claim in group if isinstance(claim, MillsProgram)]
     known = {program.name: _passes(program, issues) for program in programs}
     for claim in group:

@@ -67,7 +67,6 @@ def targets_of(
 
 
 def _ways(route: Route) -> list[Way]:
-    """What each slot's way is to the report."""
     rows = [slice(a, b + 1) for a, b in zip(route.pierce, route.end, strict=True)]
     return [Way(route.tip[own], route.axis[own], route.height[own]) for own in rows]
 

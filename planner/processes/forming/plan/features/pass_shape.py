@@ -235,7 +235,6 @@ def face_of(shape: Limited, side: int, start: float) -> Mesh:
 
 
 def _among(points: FloatArray, others: FloatArray) -> BoolArray:
-    """Which points (N, 2) are exactly one of ``others``."""
     known = set(map(tuple, others.tolist()))
     return np.array([tuple(point) in known for point in points.tolist()], dtype=np.bool_)
 

@@ -154,7 +154,6 @@ def _share_inside(point: FloatArray, region: Polygon) -> float:
 
 
 def _followers(segments: Segments, region: Polygon | None, name: str) -> tuple[Segments, IntArray]:
-    """Segments of closed lines, and of each the one that follows it."""
     count = len(segments.level)
     if not count:
         return segments, np.zeros(0, dtype=np.int64)

@@ -82,7 +82,6 @@ def belongs_to(work: Work, stock: Stock, part: Part | None) -> dict[str, Any]:
 
 
 def _stated_forces(op: Forming) -> dict[str, Any]:
-    """Forces by depth, level or of a support, where they are stated."""
     out: dict[str, Any] = {}
     if op.force_by is not None:
         table, file = op.force_by.table, op.force_by.file

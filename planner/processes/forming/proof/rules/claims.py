@@ -122,7 +122,6 @@ _PASS_CLAIMS = (
 
 
 def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
-    """Whether claims have the numbers of tools and user."""
     radius = dict(zip(part.arms, part.radii, strict=True))
     ridge = _ridge(part)
     for claim in group:
@@ -169,7 +168,6 @@ def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
 
 
 def _differ(claim: Any, **wanted: Any) -> list[str]:
-    """Names of the fields that are not as wanted."""
     out = []
     for name, value in wanted.items():
         got = getattr(claim, name)
@@ -195,7 +193,6 @@ def _ridge(part: FormsPart) -> Callable[[FloatArray, float], FloatArray]:
 
 
 def _ridges(part: FormsPart, claim: FormsSheet, ridge: Callable[[FloatArray, float], FloatArray]) -> bool:
-    """Whether the ridges that a claim allows are those of the steps."""
     corners = claim.vertices[claim.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(cross, axis=1)

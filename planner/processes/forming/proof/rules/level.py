@@ -71,7 +71,6 @@ def _claimed(context: Context, forming: Forming) -> Iterator[Issue]:
 
 
 def _stated(one: OneLevel) -> Iterator[Issue]:
-    """Whether it is a level of the stated pass that is there."""
     if one.fault or one.operation is None:
         yield _issue(one, one.fault or "there is no operation of that name")
         return

@@ -138,7 +138,6 @@ def _unclaimed(context: Context, forming: Forming) -> Iterator[Issue]:
 
 
 def _made(forming: Forming, one: Told) -> PartShapes | None:
-    """The part and the passes of the operation."""
     return next((made for made, group in forming.parts if one.claim in group), None)
 
 
@@ -237,7 +236,6 @@ def _scanned(context: Context, forming: Forming, one: Told) -> tuple[float, list
 def _by_scan(
     one: Told, field: scan_field.Field, said: Measured, face: Face, claim: FormsSheet, way: Way, thick: float
 ) -> tuple[float, list[Issue]]:
-    """The same of one pass, on the face of a sheet that is ``thick`` [m]."""
     name, given = claim.segment.name, one.given
     at, centre, _ = _evenly(way)
     touch = face.nearest(centre).place

@@ -405,7 +405,6 @@ def _sunk(way: Track, state: SheetState, begun: float) -> FloatArray:
 
 
 def _places(face: Face) -> FloatArray:
-    """Places (P, 3) all over a face."""
     corners = face.corners
     area = float(face.area.sum())
     parts, _ = divided(corners, max(PLACE_SPACING, 2.0 * float(np.sqrt(area / _FACE_PLACES))))

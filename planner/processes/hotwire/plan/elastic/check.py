@@ -108,7 +108,6 @@ def check(
 
 
 def _name(route: Route, index: int) -> str:
-    """Where a target is, as a person says it."""
     label = str(route.segment[index])
     p = route.p[index]
     return f"{label} at {p * 1e3:.0f} mm along the sweep" if np.isfinite(p) else label

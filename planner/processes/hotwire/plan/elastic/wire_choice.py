@@ -269,7 +269,6 @@ def _half(side: Screen, fit: Fit, base: WireFile, degrees: float) -> Attempt | N
 
 
 def _tolerance(screen: Screen, fit: Fit, sweep: Sweep, issues: list[Issue]) -> str:
-    """The tolerance that the same wire keeps."""
     off = max((issue.value for issue in issues if issue.value is not None), default=np.inf)
     for factor in (1.01, 1.25, 1.6):  # more may come on top where the first bound is kept
         tol = float(np.ceil(100.0 * factor * off) / 100.0)

@@ -345,7 +345,6 @@ def _headings(
 
 
 def _rows(path: Path) -> tuple[list[str], list[Row]]:
-    """The headings, and each row with its line."""
     name = str(path)
     if not is_file(path):
         raise refusal("kerf.file", f"{name}: {no_file(path)}", file=name, hint="check the path")

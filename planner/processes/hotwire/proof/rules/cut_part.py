@@ -323,6 +323,5 @@ class _Bounds:
 
 
 def _is_side(context: Context, claim: CutsSurface) -> bool:
-    """Whether a surface is a side of the datum block."""
     box = context.datum.box
     return bool((np.abs(claim.vertices[:, None] - box[None]).max(axis=0) < SIDE_DISTANCE).any())

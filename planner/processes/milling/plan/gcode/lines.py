@@ -277,7 +277,6 @@ def _offset(name: str, modal: Modal, step: Step) -> Any:
 
 
 def _numbers(modal: Modal, step: Step) -> dict[str, Any]:
-    """Changes by F, S and T."""
     change: dict[str, Any] = {}
     feed, speed, tool = (step.values.get(word) for word in "FST")
     if feed is not None and feed <= 0.0:

@@ -375,7 +375,6 @@ def _chunk(
 
 
 def _chunks(dialect: Dialect) -> Iterator[bytes]:
-    """The file in chunks of whole lines."""
     path = dialect.file
     if not is_file(path):
         what = f"{path}: no such G-code file; check the path, which starts at the problem file's folder"

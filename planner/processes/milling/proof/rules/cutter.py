@@ -85,7 +85,6 @@ def _flanks(findings: Findings, milling: Milling) -> None:
 def _way(
     findings: Findings, milling: Milling, index: int, claim: MillsFlank, number: int, phase: Phase
 ) -> None:
-    """One way in or out."""
     segment = claim.segments[number].at(phase)
     known = _known(milling, index, claim, number, phase)
     if known is None:
@@ -156,7 +155,6 @@ FACE_STEP = 1e-3
 
 
 def _over(findings: Findings, milling: Milling) -> None:
-    """All passes over faces."""
     for index, claim in milling.over:
         face = OverFace(claim)
         for segment in claim.segments:
@@ -349,7 +347,6 @@ def _small(claim: MillsAlong) -> bool:
 
 
 def _line(claim: MillsAlong, found: Followed, i: int) -> str:
-    """The line of the file by which a sample should be."""
     if claim.line is None:
         return ""
     place = min(int(np.searchsorted(found.along, found.at[i])), len(claim.line) - 1)

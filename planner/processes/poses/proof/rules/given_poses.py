@@ -47,7 +47,6 @@ def follows(context: Context) -> Outcome:
 
 
 def _poses(findings: Findings, index: int, claim: FollowsPoses) -> None:
-    """One claim in setup ``index``."""
     rows, paths = _paths(findings.context, index, (claim.arm,), claim.frame)
     if not len(rows):
         _never(findings, (claim.arm,))

@@ -64,7 +64,6 @@ def waits(context: Context, work: TrimWork, others: Collection[str]) -> Iterator
 
 
 def _slot(move: MoveStep) -> str:
-    """The key of a move's segment."""
     return segment_of_name(move.procedure).key
 
 

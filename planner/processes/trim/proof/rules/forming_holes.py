@@ -79,7 +79,6 @@ def forming_holes(context: Context) -> Outcome:
 
 
 def _cut(claim: TrimsSheet) -> tuple[list[_Hole], list[Issue]]:
-    """The curves of a claim."""
     found, issues = [], []
     across = float(np.hypot(claim.thickness, claim.thickness * np.tan(claim.cone)))
     for one in claim.outlines:

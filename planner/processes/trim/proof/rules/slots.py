@@ -518,7 +518,6 @@ SAME_SIZE = 1e-9
 
 
 def _alike(one: object, other: object, sizes: Sequence[str]) -> bool:
-    """Whether both have the same sizes."""
     pairs = ([np.asarray(getattr(tool, name), dtype=np.float64) for tool in (one, other)] for name in sizes)
     return all(a.shape == b.shape and bool(np.all(np.abs(a - b) < SAME_SIZE)) for a, b in pairs)
 
