@@ -156,6 +156,7 @@ def test_a_late_call_goes_where_its_name_says():
         ["IF TestDI(diHand) SetDO doWirePower,0;", "StopMove\\Quick;", "EXIT;"],
         ["SetDO doWirePower,0;", "StopMove\\Quick;", EVIL, "EXIT;"],
         ["SetDO doWirePower,0;", "StopMove\\Quick;", "main;", "EXIT;"],
+        ["SetDO doWirePower,0;", '%"ma"+"in"%;', "StopMove\\Quick;", "EXIT;"],
     ],
 )
 def test_handlers_end_the_program_with_the_power_off(lines):

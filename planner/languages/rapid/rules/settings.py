@@ -135,7 +135,8 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> 
         faults.append("it goes on with the program")
     plain = [step for step in steps if not step.condition]
     halts = [step for step in plain if isinstance(step, SettingStep) and step.kind == "Stop"]
-    stop = next((i for i, s in enumerate(steps) if s in plain and s.kind == "StopMove"), None)  # type: ignore[attr-defined]
+    stops = (isinstance(s, SettingStep) and s.kind == "StopMove" and not s.condition for s in steps)
+    stop = next((i for i, stops_motion in enumerate(stops) if stops_motion), None)
     if stop is None:
         faults.append("it does not stop the motion (StopMove)")
     elif any(isinstance(step, WaitStep | MessageStep) for step in steps[:stop]):
