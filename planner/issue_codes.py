@@ -86,9 +86,7 @@ CODES: Final[dict[str, Code]] = {
     "element.wire": Code("no wire is long enough for the smallest panel at a position of the element"),
     "element.tolerance": Code("panels deviate from the surface of the element by more than the tolerance"),
     "element.shape": Code("panels of an element self-intersect, fold over, tilt too far or are too small"),
-    "element.count": Code(
-        "the number of quad panels differs from the requested number because of the row layout"
-    ),
+    "element.count": Code("the row layout gives another number of quad panels than requested"),
     "element.concave": Code("planar panels of an element have concave corners"),
     "element.assembly": Code(
         "panels of an element have no collision-free straight insertion path in any tested order"
@@ -105,7 +103,9 @@ CODES: Final[dict[str, Code]] = {
         given=True,
     ),
     "element.joint": Code("adjacent panels of an element meet with a larger step than requested"),
-    "element.face": Code("panel faces are clipped by the written block, or on the side of the panel"),
+    "element.face": Code(
+        "panel faces deviate from the written surface, or their slot is on the side of the panel"
+    ),
     "element.raw_block": Code("the block of a panel fits none of the raw blocks of its foam"),
     "element.cut": Code("the bow cannot reach some cuts of raw blocks from any direction"),
     "element.stock": Code("the list of leftover foam is invalid or has invalid rows", given=True),
@@ -203,7 +203,7 @@ CODES: Final[dict[str, Code]] = {
     "part.dxf_left_out": Code("unsupported entities of the DXF file were skipped", given=True),
     "part.dxf_unit": Code("the DXF file states another unit than the problem", given=True),
     "part.rhino": Code(
-        "the Rhino file is unreadable, or does not contain exactly one of the required object", given=True
+        "the Rhino file is unreadable, or lacks the required objects, or has several of them", given=True
     ),
     "part.rhino_unit": Code("the unit in which the Rhino file was read", given=True),
     "part.rhino_left_out": Code("objects of the Rhino file were skipped or converted", given=True),
@@ -267,9 +267,7 @@ CODES: Final[dict[str, Code]] = {
         "the tool rotates about its TCP where it must not stop: URScript has no blend for this"
     ),
     "post.turn_near_zero": Code("an axis is so close to zero that a KUKA controller may ignore its turn bit"),
-    "post.krl_turn": Code(
-        "the rotation of a move is so large that a KUKA controller may choose another path"
-    ),
+    "post.krl_turn": Code("a move rotates so far that a KUKA controller may choose another path"),
     "post.path": Code("the job cannot use spline blocks"),
     "post.spline": Code("the KRL programs contain spline blocks, which were not tested on a controller"),
     "post.spline_left": Code("moves that do not fit into spline blocks remain linear moves"),
@@ -285,7 +283,7 @@ CODES: Final[dict[str, Code]] = {
     "post.no_split": Code("the program is too long for one module and has no stop at which to split it"),
     "post.handshake_process": Code("two controllers that only share digital signals cannot do this work"),
     "post.handshake_drift": Code("the change of tool distance when one arm is one step ahead of the other"),
-    "post.load": Code("the weight of the held block is unknown, so the controller cannot be given its load"),
+    "post.load": Code("the held block has no weight that can be set in the controller"),
     # proof of the programs
     "verify.syntax": Code("the program is not valid in its language, or has no unique linear control flow"),
     "verify.declarations": Code("a name in the program is undeclared, has no value or has the wrong type"),
@@ -328,22 +326,20 @@ CODES: Final[dict[str, Code]] = {
         "two controllers that share signals may deadlock, lose a signal or lose synchronisation"
     ),
     "verify.step_apart": Code(
-        "arms that may be one step out of step come too close, or the gap of their tools is "
-        "outside its tolerance"
+        "arms that may be one step ahead of each other come too close, or the gap of their "
+        "tools is outside its tolerance"
     ),
-    "verify.meeting_time": Code(
-        "a rendezvous aborts the run when the other side answers late, or may never end"
-    ),
+    "verify.meeting_time": Code("a rendezvous aborts the run when the other side is late, or may never end"),
     "verify.error_handler": Code(
         "an error handler is missing, continues the program, or does not switch off, stop and report"
     ),
-    "verify.undo": Code("leaving a procedure early would leave the power on or a gripper open"),
+    "verify.undo": Code("leaving a procedure early would leave the power on or a synchronised block open"),
     "verify.motion_settings": Code("settings make the moves slower than their programmed times"),
     "verify.move_count": Code("the tasks have different numbers of moves in a synchronised block"),
     "verify.move_ids": Code("IDs of synchronised moves are missing, differ or do not increase"),
     "verify.zone_kind": Code("of two simultaneous moves, one stops and the other does not"),
     "verify.move_time": Code("simultaneous moves have no time or different times"),
-    "verify.duration": Code("the programs or the part are too large for the proof"),
+    "verify.duration": Code("the programs are too long, or a face has too many facets, for the proof"),
     "verify.setup": Code(
         "a setup is not announced, not confirmed exactly once and in order, or an arm moves "
         "before its confirmation"
@@ -356,27 +352,19 @@ CODES: Final[dict[str, Code]] = {
     "verify.held_frame": Code("work on a held block is not in the frame of the arm that holds it"),
     "verify.load": Code("the controller does not have the load of the held block, or keeps it after release"),
     "verify.bow": Code("a clamp of a straight wire comes too close to the foam"),
-    "verify.rulings": Code(
-        "a straight wire deviates from the rulings of the surface, or misses some of them"
-    ),
+    "verify.rulings": Code("a straight wire deviates from the rulings of the surface, or misses some"),
     "verify.order": Code("cuts are in another order than the operation states"),
     "verify.part": Code("the wire cuts into the part during approach or retreat, or into another surface"),
     "verify.slit": Code(
         "the wire approaches a cut from another side than stated, or through a slit that is too long"
     ),
     "verify.kerf": Code("the slot is narrower or wider than required at the actual speed of the wire"),
-    "verify.cell_check": Code(
-        "the program does not compare the frames of the controller with the plan before it moves"
-    ),
-    "verify.start_posture": Code(
-        "a trajectory starts from joint positions that are not checked, or not at home"
-    ),
+    "verify.cell_check": Code("the program moves before it compares the controller's frames with the plan"),
+    "verify.start_posture": Code("a trajectory starts from joints that are not checked, or not at home"),
     "verify.goal_tolerances": Code("a trajectory continues at a larger path deviation than the cell allows"),
     "verify.power_on_failure": Code("an output stays on if a trajectory step fails"),
     "verify.between_points": Code("the tool leaves the straight line between two trajectory points"),
-    "verify.controller_files": Code(
-        "files for a controller are missing, changed, or belong to other programs"
-    ),
+    "verify.controller_files": Code("controller files are missing, changed, or belong to other programs"),
     "verify.hidden": Code("code outside the linear control flow runs or may run: it is not proven"),
     "verify.speed_data": Code("the speed data of a move are below path length over time"),
     "verify.arms_alone": Code("two arms move at the same time without synchronisation"),
@@ -423,12 +411,8 @@ CODES: Final[dict[str, Code]] = {
         "a tool exceeds the TCP speed that the problem allows",
         remedy="lower the feed, and plan again; settings.tcp_speed_mm_s is the limit",
     ),
-    "verify.unknown_start": Code(
-        "a move with an unknown start may be too fast, or a joint move states a time"
-    ),
-    "verify.power_idle": Code(
-        "power stays on too long while nothing moves, or during a wait for another party"
-    ),
+    "verify.unknown_start": Code("a move with an unknown start may be too fast, or a joint move has a time"),
+    "verify.power_idle": Code("power stays on too long while nothing moves or during a wait"),
     "verify.follows": Code("a tool does not pass through the given poses"),
     "verify.wire_length": Code("the ends of the wire are too far apart, or no wire shape meets both clamps"),
     "verify.wire_stability": Code("the wire shape is unstable, or snaps to another shape"),
@@ -453,7 +437,7 @@ CODES: Final[dict[str, Code]] = {
         remedy="mount the tool differently, or give targets more rotational freedom, and plan again",
     ),
     "verify.wire_clearance": Code(
-        "the wire comes too close to a body", remedy="move the obstacle of the wire, and plan again"
+        "the wire comes too close to a body", remedy="move the body that is too close, and plan again"
     ),
     "verify.part_file": Code("the programs do not make the part that the proof reads from its file"),
     "verify.surface": Code("too little of the cut surface is within tolerance"),
@@ -588,7 +572,7 @@ CODES: Final[dict[str, Code]] = {
     "forming.inside_out": Code("faces of the mesh of the part have inconsistent orientations", given=True),
     "forming.wall_angle": Code(
         "a wall is too steep to be formed, or too steep for one pass",
-        accepts="a pass forms a steeper wall than the metal is known to bear in one pass",
+        accepts="a pass, or its loops with springback, form a steeper wall than the metal is known to bear",
     ),
     "forming.support_radius": Code("the ball of the supporting tool is too large for the part"),
     "forming.gap": Code("the gap between the two tools exceeds its tolerance between targets"),
@@ -610,7 +594,7 @@ CODES: Final[dict[str, Code]] = {
     # sheet metals, forces, trials and tables of forming
     "forming.unknown_metal": Code("unknown sheet metal", given=True),
     "forming.thickness_untested": Code("the sheet thickness is outside the range of known forming tests"),
-    "forming.trial": Code("a published trial failed at this wall angle, thickness and depth"),
+    "forming.trial": Code("a trial of one laboratory failed at this wall angle, thickness and depth"),
     "forming.force_input": Code("a length, angle or force of the force estimate is out of range", given=True),
     "forming.force": Code(
         "the forming force exceeds the remaining payload of a robot",
@@ -775,13 +759,13 @@ CODES: Final[dict[str, Code]] = {
         "the table of the batch file is unreadable, or a row does not match its header", given=True
     ),
     "batch.install": Code("a cluster requires packages that are not installed", given=True),
-    "batch.cluster": Code("the cluster is unreachable, has no workers, or closed the connection"),
+    "batch.cluster": Code("the cluster is unreachable, has no workers, or stopped responding"),
     "batch.versions": Code("a cluster worker has other package versions than the client"),
     "batch.in_use": Code("another batch is writing to the output folder", given=True),
     # the service
     "service.install": Code("the service requires packages that are not installed"),
     "service.database": Code("the database of the service cannot be opened or is unreachable"),
-    "service.not_planning": Code("the service accepts jobs, but planning is paused"),
+    "service.not_planning": Code("the service accepts jobs, but none is planned at present"),
     "service.start": Code("the service cannot start with these options"),
     "service.request": Code("a field of the request is missing, unknown or out of range"),
     "service.not_found": Code("the service has no such resource, or does not support the method"),

@@ -121,7 +121,7 @@ def _error_of(issue: Callable[_Fields, Issue]) -> Callable[_Fields, TandemError]
 
 
 refusal: Final = _error_of(Issue)
-"""The error of one issue, to be raised. It takes the fields of an :class:`Issue`."""
+"""Creates the error of one issue. Takes the fields of an :class:`Issue`, with their types."""
 
 
 def has_errors(issues: Iterable[Issue]) -> bool:

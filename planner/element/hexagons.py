@@ -210,6 +210,7 @@ def _way_up(panels: Sequence[ThickPanel], middle: FloatArray, first: BoolArray) 
 
 
 def _rows(panels: Sequence[ThickPanel]) -> IntArray:
+    """Return the row (N,) of each panel, counted from 0."""
     rim = np.array([(panel.across == RIM).any() for panel in panels])
     lowest = np.array([panel.top[:, 2].min() for panel in panels])
     flat = [shapely.Polygon(panel.top @ _across(panel.normal)).area for panel in panels]

@@ -75,6 +75,7 @@ class Rule:
         return " ".join((self.examine.__doc__ or self.code).split("\n\n")[0].split()).rstrip(".")
 
     def __call__(self, context: Context) -> Outcome:
+        """Examine the programs of a context."""
         return self.examine(context)
 
 

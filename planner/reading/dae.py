@@ -105,6 +105,7 @@ def _by_colour(model: Any) -> dict[Colour | None, list[FloatArray]]:
 
 
 def _colour(material: Any) -> Colour | None:
+    """Return the colour of a material, None for no material and for textures."""
     diffuse = getattr(getattr(material, "effect", None), "diffuse", None)
     if not isinstance(diffuse, tuple) or len(diffuse) < 3:
         return None

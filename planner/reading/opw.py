@@ -443,6 +443,7 @@ def _base_axes(
 
 
 def _base(foot: FloatArray, side: FloatArray, up: FloatArray) -> FloatArray:
+    """Return the base (4, 4) of the closed form."""
     return _clean(from_parts(np.stack([np.cross(side, up), side, up], axis=1), foot))
 
 

@@ -473,6 +473,7 @@ def _bad_inertia(link: ET.Element) -> bool:
 
 
 def _origin(element: ET.Element, name: str | None, snap: bool = True) -> FloatArray:
+    """Return the pose (4, 4) that the <origin> of an element states."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)

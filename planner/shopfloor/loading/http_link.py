@@ -191,6 +191,7 @@ class Link:
         return Answer(response.status, content), asked
 
     def _digest(self, method: str, path: str) -> str:
+        """Return the authorization header of RFC 7616, section 3.4."""
         given, own = self._challenge, self.login
         self._count += 1
         count, client = f"{self._count:08x}", secrets.token_hex(8)

@@ -86,6 +86,7 @@ def near_zero(robot: RobotData, q: FloatArray) -> IntArray:
 
 
 def _rounded(robot: RobotData, q: FloatArray) -> FloatArray:
+    """Return the joints (..., 6) [rad] as the controller stores them, rounded."""
     return np.deg2rad(np.round(np.rad2deg(robot.to_controller(q)), DEGREE_DECIMALS))
 
 

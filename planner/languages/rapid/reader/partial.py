@@ -192,6 +192,7 @@ class _PartialRunner(Runner):
         super()._while(statement)
 
     def _initial(self, module: Module, data: Data) -> Value:
+        """Return no value for data with a fault."""
         lines = [*(item.line for item in module.data), *(item.line for item in module.procedures)]
         behind = [line for line in lines if line > data.line]
         bad = self.bad.get(module.file, [])

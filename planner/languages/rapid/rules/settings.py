@@ -135,8 +135,8 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> 
         faults.append("it goes on with the program")
     plain = [step for step in steps if not step.condition]
     halts = [step for step in plain if isinstance(step, SettingStep) and step.kind == "Stop"]
-    stops = (isinstance(s, SettingStep) and s.kind == "StopMove" and not s.condition for s in steps)
-    stop = next((i for i, stops_motion in enumerate(stops) if stops_motion), None)
+    plain_settings = ((i, s) for i, s in enumerate(steps) if isinstance(s, SettingStep) and not s.condition)
+    stop = next((i for i, setting in plain_settings if setting.kind == "StopMove"), None)
     if stop is None:
         faults.append("it does not stop the motion (StopMove)")
     elif any(isinstance(step, WaitStep | MessageStep) for step in steps[:stop]):

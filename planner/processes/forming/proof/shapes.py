@@ -304,6 +304,7 @@ def _alike(one: Passed, two: Passed) -> bool:
 
 
 def _rim_level(part: FormsPart) -> float:
+    """Return the level [m] of the edge of the part."""
     edge = np.sort(np.stack([part.faces, np.roll(part.faces, -1, axis=1)], -1).reshape(-1, 2), axis=1)
     found, count = np.unique(edge, axis=0, return_counts=True)
     rim = np.unique(found[count == 1])

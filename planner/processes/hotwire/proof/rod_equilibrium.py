@@ -293,6 +293,7 @@ def _mul(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _mul_t(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a^T b for (3, 3, T) and (3, m, T)."""
     found: FloatArray = a[0, :, None] * b[None, 0] + a[1, :, None] * b[None, 1] + a[2, :, None] * b[None, 2]
     return found
 

@@ -235,6 +235,7 @@ def face_of(shape: Limited, side: int, start: float) -> Mesh:
 
 
 def _among(points: FloatArray, others: FloatArray) -> BoolArray:
+    """Return which points (N, 2) are exactly equal to one of ``others``."""
     known = set(map(tuple, others.tolist()))
     return np.array([tuple(point) in known for point in points.tolist()], dtype=np.bool_)
 

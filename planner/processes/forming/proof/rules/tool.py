@@ -405,6 +405,7 @@ def _sunk(way: Track, state: SheetState, begun: float) -> FloatArray:
 
 
 def _places(face: Face) -> FloatArray:
+    """Return points (P, 3) [m] distributed over a face."""
     corners = face.corners
     area = float(face.area.sum())
     parts, _ = divided(corners, max(PLACE_SPACING, 2.0 * float(np.sqrt(area / _FACE_PLACES))))
