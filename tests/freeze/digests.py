@@ -1,9 +1,10 @@
 """SHA-256 digests of everything that planning a bundled problem writes.
 
 Planning is deterministic: result folders of two runs are equal byte by byte, whatever the folder, the time,
-the hash seed and the number of processes. No content is masked. Two values that do not describe behaviour are
-fixed while digests are computed (:func:`plan`): the version of Tandem, which is in every program header, and
-the patch level of Python, which ``plan.json`` and ``report.html`` state.
+the hash seed and the number of processes. A file with words has two rows, one of all bytes, and one ``without
+words`` (:mod:`tests.freeze.wordless`), which a change of wording leaves as it is. Two values that do not
+describe behaviour are fixed while digests are computed (:func:`plan`): the version of Tandem, which is in
+every program header, and the patch level of Python, which ``plan.json`` and ``report.html`` state.
 
 Floating-point results depend on the kernels that OpenBLAS and NumPy choose for the processor.
 :data:`PINNED_KERNELS` fixes them in the process that plans. Files whose digests differ from those with pinned
@@ -34,6 +35,8 @@ import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
+
+from tests.freeze import wordless
 
 ROOT: Final = Path(__file__).parents[2]
 TABLE: Final = Path(__file__).parent / "digests.json"
@@ -147,8 +150,13 @@ def _problem_file(name: str) -> str:
 
 
 def _folder_digests(folder: Path) -> Digests:
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder).as_posix(): _sha256(path.read_bytes()) for path in files}
+    out: Digests = {}
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        name, content = path.relative_to(folder).as_posix(), path.read_bytes()
+        out[name] = _sha256(content)
+        if wordless.has_words(name):
+            out[f"{name} without words"] = wordless.digest(name, content)
+    return out
 
 
 def _issue_digests(issues: list[dict[str, Any]]) -> Digests:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from planner.service import bundled
-from tests.freeze import digests, lists
+from tests.freeze import digests, lists, wordless
 from tests.freeze.startup_imports import IMPORTS
 
 FAST = (
@@ -72,3 +72,25 @@ def test_another_environment_is_named_with_both_versions() -> None:
     recorded = {**digests.environment(), "numpy": "1.0"}
     assert digests.environment_mismatch(digests.environment()) == ""
     assert digests.environment_mismatch(recorded).endswith("(recorded with 1.0)")
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "same"),
+    [
+        ("a.mod", 'TPWrite "2 mm";  ! old', 'TPWrite "two mm"; ! new words', True),
+        ("a.mod", "MoveL p1, v50;", "MoveL p1, v60;", False),
+        ("a.mod", "MoveL [[1,2],[3]], v50;", "MoveL [[1,2,3]], v50;", False),
+        ("a.mod", "SetDO wire, 1;", "SetDO heater, 1;", True),
+        ("a.src", "PTP home ; old", "PTP start ; 3 new", True),
+        ("a.nc", "(old 3)\nG1 X2", "(new 4)\nG1 X2", True),
+        ("a.nc", "G1 X2", "G1 X3", False),
+        ("proof.json", '{"told": ["at 3 mm", 2.5]}', '{"stated": ["3 mm away", 2.5]}', True),
+        ("proof.json", '{"told": ["at 3 mm", 2.5]}', '{"told": ["at 4 mm", 2.5]}', False),
+        ("proof.json", '{"told": [[1], 2]}', '{"told": [1, [2]]}', False),
+        ("proof.json", '{"sha": "00ab34cd12"}', '{"sha": "00ab34cd13"}', True),
+        ("report.html", "<p>2 mm off, limit 3 mm</p>", "<p>limit 3 mm, deviation 2 mm</p>", True),
+        ("report.html", "<p>2 mm</p>", "<p>2.5 mm</p>", False),
+    ],
+)
+def test_words_alone_do_not_change_a_wordless_digest(name: str, old: str, new: str, same: bool) -> None:
+    assert (wordless.digest(name, old.encode()) == wordless.digest(name, new.encode())) is same
