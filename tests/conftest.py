@@ -1,17 +1,14 @@
-"""Shared configuration: repeatable random tests, garbage collection, Ctrl-C, and one process for each plan.
+"""Random tests: the same inputs in every run, and no time limit on one of them, as machines stall.
 
-Random tests use the same inputs in every run and have no time limit, because machines stall.
+Tests that were collected stay to the end, and so does what is loaded and remembered while they run: the
+garbage collector need not go through it each time, and each plan calls it.
 
-Collected tests live until the end, and so does everything that is loaded and memoized while they run. The
-garbage collector need not traverse it each time that a plan calls it.
+Ctrl-C as in a terminal: a shell starts what runs behind it (`make test &`) with SIGINT ignored, every process
+inherits that, and the tests that send SIGINT to one would wait for nothing.
 
-Ctrl-C works as in a terminal: a shell starts background jobs (`make test &`) with SIGINT ignored, every
-process inherits that, and tests that send SIGINT to a process would wait in vain.
-
-Each plan and proof that a test requests from a command in the test process uses one process. A second process
-costs a second of import, and tests/runtime/test_second_process.py compares its results with those of one
-process.
-"""
+One process for each plan and proof that a test asks a command for in its own process: a second one costs a
+second of import, and tests/batch/test_second_process.py holds what it works out against what is worked out
+without."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ def one_process_a_plan() -> Iterator[None]:
     from planner.cli import command_line
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command_line, "_process_count", lambda: 1)
+        patch.setattr(command_line, "_processes", lambda: 1)
         yield
 
 
@@ -62,7 +59,7 @@ _folder: list[Path] = []
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Freeze the objects of one folder's tests for the garbage collector before the next folder."""
+    """What tests of one folder leave behind is passed over in the next one."""
     if _folder != [item.path.parent]:
         _folder[:] = [item.path.parent]
         gc.collect()

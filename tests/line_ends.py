@@ -1,4 +1,4 @@
-"""Programs with the line ends that tests use to search and change texts."""
+"""Programs with the line ends that tests search and change texts by."""
 
 from __future__ import annotations
 

@@ -17,16 +17,16 @@ def rows() -> list[re.Match[str]]:
 
 def words_of_the_code() -> set[str]:
     """Names that the package defines or uses: definitions, attributes, parameters."""
-    result: set[str] = set()
+    found: set[str] = set()
     for path in (ROOT / "planner").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef | ast.ClassDef):
-                result.add(node.name)
+                found.add(node.name)
             elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-                result.add(node.target.id)
+                found.add(node.target.id)
             elif isinstance(node, ast.arg):
-                result.add(node.arg)
-    return result
+                found.add(node.arg)
+    return found
 
 
 def test_every_row_is_read() -> None:

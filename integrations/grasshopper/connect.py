@@ -1,5 +1,5 @@
 #! python 3
-"""Tandem Connect: connects to a service.
+"""Tandem Connect: a service.
 
 In: url (str), token (str). Out: client, version.
 """

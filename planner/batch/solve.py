@@ -1,7 +1,7 @@
-"""Planning of one job in this process, from its files to its result folder, as ``tandem plan`` does.
+"""Plan one job in this process, from its files to its result folder, as ``tandem plan`` does.
 
 A job may also divide a building element, or report on one. Issues name files as the user does
-(:class:`UserFileNames`).
+(:class:`Names`).
 """
 
 import dataclasses
@@ -12,26 +12,17 @@ from pathlib import Path
 
 from planner import pipeline
 from planner.batch.division import solve_division, solve_report
-from planner.batch.job import (
-    ELEMENT_FILE,
-    PLANNED_FILE,
-    PROBLEM_FILE,
-    REFERENCE_FOLDER,
-    JobResult,
-    JobState,
-    Reports,
-    disk_full_issue,
-)
-from planner.batch.rows import result_figures
+from planner.batch.job import ELEMENT, LIKE, PLANNED, PROBLEM, Done, Reports, State, disk_full
+from planner.batch.rows import figures
 from planner.files import is_disk_full, is_file
-from planner.issues import Issue, TandemError, is_input_error
+from planner.issues import Issue, TandemError, given_wrong
 from planner.pipeline import Outcome
 from planner.plans import DATA_FILE
 
 OnIssues = Callable[[Sequence[Issue]], None]
 
 
-def solve_job(
+def solve(
     name: str,
     source: Path,
     result: Path,
@@ -39,93 +30,76 @@ def solve_job(
     on_progress: pipeline.Progress,
     on_issues: OnIssues,
     reports: Reports = "all",
-) -> JobResult:
-    """Plan the bundle in ``source``, or divide or report on the element there, and write the result folder.
+) -> Done:
+    """Plan the bundle in ``source``, or divide or report on the element there, and write its result folder to
+    ``result``, which is there for every state but ``crashed``.
 
-    ``result`` exists afterwards for every state except ``crashed``.
-
-    Args:
-        name: Name of the job.
-        source: Folder with the files of the job.
-        result: Result folder.
-        origins: As in :class:`planner.batch.job.BatchJob`.
-        on_progress: Receives the progress.
-        on_issues: Receives issues as soon as they are known.
-        reports: As in :class:`planner.batch.job.BatchJob`.
+    ``origins`` and ``reports`` as in :class:`planner.batch.job.Job`; ``on_issues`` gets issues as they are
+    known.
     """
     start = time.perf_counter()
-    names = UserFileNames(source, origins)
+    called = Names(source, origins)
     try:
-        state, issues, metrics = _solve_problem(source, result, names, on_progress, on_issues, reports)
-    except Exception as error:  # unexpected: reported as the job's state
+        state, issues, metrics = _solved(source, result, called, on_progress, on_issues, reports)
+    except Exception as error:  # what planning should never do; the job's state says so
         what = f"{type(error).__name__}: {error}; nothing was written, please report this"
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(last.filename).name}, line {last.lineno}"
-        crash = (
-            disk_full_issue()
-            if is_disk_full(error)
-            else Issue("internal.error", names.text(what), hint=where)
-        )
+        crash = disk_full() if is_disk_full(error) else Issue("internal.error", called.text(what), hint=where)
         state, issues, metrics = "crashed", (crash,), {}
-    return JobResult(name, state, issues, metrics, time.perf_counter() - start)
+    return Done(name, state, issues, metrics, time.perf_counter() - start)
 
 
-def _solve_problem(
+def _solved(
     source: Path,
     result: Path,
-    names: "UserFileNames",
+    called: "Names",
     on_progress: pipeline.Progress,
     on_issues: OnIssues,
     reports: Reports,
-) -> tuple[JobState, tuple[Issue, ...], Mapping[str, float]]:
-    """Return state, issues and figures. Raises unexpected errors, and those of a full disk."""
+) -> tuple[State, tuple[Issue, ...], Mapping[str, float]]:
+    """How it ends, with its issues and figures; raises what planning never should, and what a full disk
+    does."""
     problem = None
     try:
-        for file, solver in ((ELEMENT_FILE, solve_division), (PLANNED_FILE, solve_report)):
+        for file, other in ((ELEMENT, solve_division), (PLANNED, solve_report)):
             if is_file(source / file):
-                return "done", names.issues(solver(source, result, on_progress)), {}
-        problem = pipeline.load(source / PROBLEM_FILE)
-        on_issues(names.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
-        reference_folder = source / REFERENCE_FOLDER
-        reference_plan = (
-            pipeline.load_reference_plan(reference_folder) if is_file(reference_folder / DATA_FILE) else None
-        )
-        outcome = names.outcome(pipeline.plan(problem, on_progress, reference=reference_plan))
+                return "done", called.issues(other(source, result, on_progress)), {}
+        problem = pipeline.load(source / PROBLEM)
+        on_issues(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
+        like = source / LIKE
+        before = pipeline.former(like) if is_file(like / DATA_FILE) else None
+        outcome = called.outcome(pipeline.plan(problem, on_progress, like=before))
         on_issues(outcome.issues)
-        state: JobState = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
+        state: State = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
         outcome.save(result, on_progress, pages=reports == "all" or state != "verified")
     except TandemError as error:
-        if is_disk_full(error):  # not an error of the problem
+        if is_disk_full(error):  # no fault of the problem
             raise
-        issues = names.issues(error.issues)
+        issues = called.issues(error.issues)
         on_issues(issues)
         pipeline.save_failure(problem, issues, result)
-        return "bad_input" if problem is None or is_input_error(issues) else "infeasible", issues, {}
-    return state, outcome.issues, result_figures(outcome.plan, outcome.proof.rules)
+        return "bad_input" if problem is None or given_wrong(issues) else "infeasible", issues, {}
+    return state, outcome.issues, figures(outcome.plan, outcome.proof.rules)
 
 
-class UserFileNames:
-    """The user's names of the files of a job in ``source``.
-
-    Args:
-        source: Folder with the files of the job.
-        origins: User's names by name in the job.
-    """
+class Names:
+    """What people call the files of a job that lie in ``source`` for its planning."""
 
     def __init__(self, source: Path, origins: Mapping[str, str]) -> None:
         names = [p.relative_to(source).as_posix() for p in source.rglob("*") if p.is_file()]
-        # longest first, because a name may be a prefix of another
+        # the longest first: a name may be the beginning of another
         pairs = [(str(source / name), origins.get(name, name)) for name in sorted(names, key=len)[::-1]]
         self._pairs = (*pairs, (str(source), "the problem's folder"))
 
     def text(self, text: str) -> str:
-        """Return the text with the user's file names."""
+        """The text with files called as people do."""
         for path, name in self._pairs:
             text = text.replace(path, name)
         return text
 
     def issue(self, issue: Issue) -> Issue:
-        """Return the issue with the user's file names."""
+        """The issue with files called as people do."""
         changes = {
             field: self.text(value)
             for field in ("file", "message", "hint", "target")
@@ -134,11 +108,11 @@ class UserFileNames:
         return dataclasses.replace(issue, **changes)  # type: ignore[arg-type]
 
     def issues(self, issues: Sequence[Issue]) -> tuple[Issue, ...]:
-        """Return the issues with the user's file names."""
+        """All of them."""
         return tuple(self.issue(issue) for issue in issues)
 
     def outcome(self, outcome: Outcome) -> Outcome:
-        """Return an outcome whose issues have the user's file names."""
+        """An outcome whose issues call files as people do."""
         plan, proof = outcome.plan, outcome.proof
         operations = tuple(
             dataclasses.replace(

@@ -1,1 +1,1 @@
-"""Built-in robots and materials."""
+"""What is built in: robots, materials, codes of issues."""

@@ -1,9 +1,9 @@
 """Inverse kinematics of ortho-parallel arms with spherical wrists, batched over poses.
 
-One branch of a thousand poses takes about half a millisecond, so that an optimiser may call it in every step.
-
-Source: Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem of
-industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014.
+Formulas: Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem
+of industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014. One
+branch of a thousand poses costs about half a millisecond, so that an optimiser may call it in every
+step.
 """
 
 from collections.abc import Sequence
@@ -15,47 +15,44 @@ from planner.geometry.arrays import FloatArray
 
 
 def inverse_kinematics(opw: OpwParameters, flange: FloatArray, branches: Sequence[int]) -> FloatArray:
-    """Compute joint angles as :func:`planner.motion.planning_scene.inverse_kinematics`."""
+    """As :func:`planner.motion.planning_scene.inverse_kinematics`."""
     flange = opw.inner(flange)
     r = flange[..., :3, :3]
     centre = flange[..., :3, 3] - opw.c4 * r[..., :, 2]
     cx, cy, up = centre[..., 0], centre[..., 1], centre[..., 2] - opw.c1
     with np.errstate(invalid="ignore"):
         radial = np.sqrt(cx * cx + cy * cy - opw.b * opw.b)
-    azimuth, skew = np.arctan2(cy, cx), np.arctan2(opw.b, radial)
-    arms = {
-        choice: _arm_angles(opw, azimuth, skew, radial, up, *choice)
-        for choice in {_shoulder_and_elbow(b) for b in branches}
-    }
-    wrists = {choice: _wrist_angles(r, *angles) for choice, angles in arms.items()}
-    out = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint, since callers work by joint
+    turn, skew = np.arctan2(cy, cx), np.arctan2(opw.b, radial)
+    arms = {pair: _first_three(opw, turn, skew, radial, up, *pair) for pair in {_pair(b) for b in branches}}
+    wrists = {pair: _wrist(r, *angles) for pair, angles in arms.items()}
+    out = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint: what follows works by joint
     for slot, branch in enumerate(branches):
-        choice = _shoulder_and_elbow(branch)
-        theta4, theta5, theta6 = wrists[choice]
+        pair = _pair(branch)
+        theta4, theta5, theta6 = wrists[pair]
         flip = branch >= 4
-        columns = (*arms[choice], theta4 + np.pi * flip, -theta5 if flip else theta5, theta6 - np.pi * flip)
+        columns = (*arms[pair], theta4 + np.pi * flip, -theta5 if flip else theta5, theta6 - np.pi * flip)
         for j, column in enumerate(columns):
             np.multiply(column + opw.offsets[j], opw.signs[j], out=out[slot, j])
     return np.moveaxis(out, (0, 1), (-2, -1))
 
 
-def _shoulder_and_elbow(branch: int) -> tuple[int, int]:
+def _pair(branch: int) -> tuple[int, int]:
     return (branch % 4) // 2, branch % 2
 
 
-def _arm_angles(
+def _first_three(
     opw: OpwParameters,
-    azimuth: FloatArray,
+    turn: FloatArray,
     skew: FloatArray,
     radial: FloatArray,
     up: FloatArray,
     shoulder: int,
     elbow: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Theta 1 to 3 for one choice of shoulder and elbow. The back shoulder mirrors the front one."""
+    """Theta 1 to 3 for one choice of shoulder and elbow; the back shoulder is the front one mirrored."""
     forearm = np.hypot(opw.a2, opw.c3)
     out = radial - opw.a1 if shoulder == 0 else -(radial + opw.a1)
-    theta1 = azimuth - skew if shoulder == 0 else azimuth + skew - np.pi
+    theta1 = turn - skew if shoulder == 0 else turn + skew - np.pi
     square = out * out + up * up
     sign = -1.0 if elbow == 0 else 1.0
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -63,13 +60,13 @@ def _arm_angles(
         bend = np.arccos((square - opw.c2**2 - forearm**2) / (2.0 * opw.c2 * forearm))
     theta2 = np.arctan2(out, up) + sign * lift
     theta3 = -sign * bend - np.arctan2(opw.a2, opw.c3)
-    return theta1 + 0.0 * bend, theta2, theta3  # NaN of bend: a branch exists completely or not at all
+    return theta1 + 0.0 * bend, theta2, theta3  # a branch exists as a whole or not at all
 
 
-def _wrist_angles(
+def _wrist(
     r: FloatArray, theta1: FloatArray, theta2: FloatArray, theta3: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Theta 4 to 6 with theta 5 >= 0, from the rotation that remains after the first three joints."""
+    """Theta 4 to 6 with theta 5 >= 0, from the rotation that the first three leave over."""
     c1, s1 = np.cos(theta1), np.sin(theta1)
     c, s = np.cos(theta2 + theta3), np.sin(theta2 + theta3)
     front = c1[..., None] * r[..., 0, :] + s1[..., None] * r[..., 1, :]

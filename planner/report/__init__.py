@@ -1,1 +1,1 @@
-"""Report, setup sheet and replay of a plan."""
+"""What people look at: report, setup sheet, replay."""

@@ -1,7 +1,5 @@
-"""Memory of this process.
-
-Return free memory to the operating system, and exempt permanent objects from the garbage collector.
-"""
+"""Memory of this process: return free memory to the operating system, and exempt permanent objects from the
+garbage collector."""
 
 import ctypes
 import functools
@@ -10,13 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-_own_process: list[bool] = []
+_own: list[bool] = []
 """Not empty in a process that the planner started or that runs only the planner."""
 
 
 def mark_own_process() -> None:
     """Mark this process as the planner's own. Call it at the start, before user code has created objects."""
-    _own_process.append(True)
+    _own.append(True)
 
 
 @contextmanager
@@ -32,7 +30,7 @@ def gc_frozen() -> Iterator[None]:
     gc.disable()
     try:
         yield
-        if _own_process:
+        if _own:
             gc.freeze()
     finally:
         if enabled:

@@ -1,7 +1,4 @@
-"""API routes of releases and of the audit log.
-
-A release names the person who is responsible for the programs of a job.
-"""
+"""The API's routes of releases, who answers for the programs of a job, and of the log of who did what."""
 
 from typing import Annotated, Final
 
@@ -10,9 +7,9 @@ from fastapi import APIRouter, Depends, Query, Request
 from pydantic import ConfigDict, Field
 
 from planner.service import audit
-from planner.service.element_routes import visible_element_id
+from planner.service.element_routes import element_of
 from planner.service.models import (
-    AuditAct,
+    Act,
     AuditList,
     ElementReleases,
     JobOut,
@@ -21,28 +18,19 @@ from planner.service.models import (
     Sent,
     Shown,
 )
-from planner.service.routes import (
-    AUTH_REFUSALS,
-    JOB_ID,
-    PAGE_SIZE,
-    CurrentPrincipal,
-    CurrentService,
-    OwnJob,
-    refusals,
-    visible_job,
-)
-from planner.service.security import Principal
-from planner.service.user_texts import Line, Lines, body_description, read_body
+from planner.service.routes import ASKED, JOB_ID, PAGE_SIZE, Asker, Here, OwnJob, job_of, refusals
+from planner.service.security import Who
+from planner.service.texts import Line, Lines, described, read_body
 
-router: Final = APIRouter(prefix="/v1", tags=["releases"], responses=AUTH_REFUSALS)
+router: Final = APIRouter(prefix="/v1", tags=["releases"], responses=ASKED)
 
 
-MAX_PANELS: Final = 5000
-"""Maximum number of panels in one release."""
+MOST_PANELS: Final = 5000
+"""Panels that one act releases."""
 
 
 class Releasing(Sent):
-    """A release: a note, and the name of the person if the service requires no tokens."""
+    """A release to be: a note, and who releases where the service asks for no tokens."""
 
     model_config = ConfigDict(extra="forbid")
     note: Lines = ""
@@ -50,39 +38,31 @@ class Releasing(Sent):
 
 
 class ReleasingPanels(Releasing):
-    """Panels to release, as the person saw them."""
+    """Panels to be released, as they were shown."""
 
-    panels: dict[str, Shown] = Field(min_length=1, max_length=MAX_PANELS)
+    panels: dict[str, Shown] = Field(min_length=1, max_length=MOST_PANELS)
 
 
 class Withdrawing(Sent):
-    """Reason of a withdrawal. ``name`` is the person if the service requires no tokens."""
+    """Why a release is taken back; ``name`` as of a release."""
 
     model_config = ConfigDict(extra="forbid")
     reason: Annotated[Lines, Field(min_length=1)]
     name: Line | None = None
 
 
-def releaser(principal: CurrentPrincipal) -> Principal:
-    """Return the caller if it may release (dependency).
-
-    Raises:
-        RefusedError: 401 or 403.
-    """
-    principal.check_role("release")
-    return principal
+def releaser(who: Asker) -> Who:
+    """Who asks, if he may release; raises :class:`RefusedError`, 401 or 403."""
+    who.need("release")
+    return who
 
 
-Releaser = Annotated[Principal, Depends(releaser)]
+Releaser = Annotated[Who, Depends(releaser)]
 
 
-def job_to_release(job: str, principal: Releaser, service: CurrentService) -> JobOut:
-    """Return the job if the caller may release it (dependency).
-
-    Raises:
-        RefusedError: 401, 403 or 404.
-    """
-    return visible_job(job, principal, service)
+def job_to_release(job: str, who: Releaser, here: Here) -> JobOut:
+    """The job, for who may release it; raises :class:`RefusedError`, 401, 403 or 404."""
+    return job_of(job, who, here)
 
 
 ToRelease = Annotated[JobOut, Depends(job_to_release)]
@@ -92,79 +72,66 @@ ToRelease = Annotated[JobOut, Depends(job_to_release)]
     "/jobs/{job}/release",
     status_code=201,
     responses=refusals(404, 409, 413, 422),
-    openapi_extra=body_description(Releasing),
+    openapi_extra=described(Releasing),
     response_model_exclude_none=True,
     summary="Release the programs of a job",
 )
-async def release(
-    request: Request, job_out: ToRelease, principal: Releaser, service: CurrentService
-) -> ReleaseOut:
-    """Releases in the name of the token: ``{"note": "cut of Tuesday"}``.
-
-    Recorded are this name, the time, the digest of the problem and the SHA-256 of proof and programs. 409
-    if the job is not verified, or already released.
-    """
-    body = await read_body(request, Releasing)
-    return await anyio.to_thread.run_sync(
-        service.releases.release, job_out.id, principal, body.name, body.note
-    )
+async def release(request: Request, found: ToRelease, who: Releaser, here: Here) -> ReleaseOut:
+    """By who asks, whose token has a name: ``{"note": "cut of Tuesday"}``. Written down are he, the moment,
+    the digest of the problem and the SHA-256 of proof and programs. 409 for what is not verified, or is
+    released already."""
+    given = await read_body(request, Releasing)
+    return await anyio.to_thread.run_sync(here.releases.release, found.id, who, given.name, given.note)
 
 
 @router.post(
     "/jobs/{job}/withdraw",
     responses=refusals(404, 409, 413, 422),
-    openapi_extra=body_description(Withdrawing),
+    openapi_extra=described(Withdrawing),
     response_model_exclude_none=True,
     summary="Withdraw a release",
 )
-async def withdraw(
-    request: Request, job_out: ToRelease, principal: Releaser, service: CurrentService
-) -> ReleaseOut:
-    """Requires a ``reason``. The release stays in the audit log. 409 if the job is not released."""
-    body = await read_body(request, Withdrawing)
-    return await anyio.to_thread.run_sync(
-        service.releases.withdraw, job_out.id, principal, body.name, body.reason
-    )
+async def withdraw(request: Request, found: ToRelease, who: Releaser, here: Here) -> ReleaseOut:
+    """With a ``reason``; the release stays written down. 409 where the job is not released."""
+    given = await read_body(request, Withdrawing)
+    return await anyio.to_thread.run_sync(here.releases.withdraw, found.id, who, given.name, given.reason)
 
 
 @router.post(
     "/elements/{element}/release",
     status_code=201,
     responses=refusals(404, 409, 413, 422),
-    openapi_extra=body_description(ReleasingPanels),
+    openapi_extra=described(ReleasingPanels),
     response_model_exclude_none=True,
     summary="Release the programs of panels of an element",
 )
-async def release_panels(
-    request: Request, element: str, principal: Releaser, service: CurrentService
-) -> ElementReleases:
-    """Releases panels in one act, each by the job and digest that the person saw.
-
-    Example: ``{"panels": {"A01": {"job": "24d8...", "digest": "9f2c..."}}, "note": "north side"}``. Panels
-    that are not proven, have changed, were planned again or are already released are listed in ``refused``.
-    409 if these are all of them.
-    """
-    element_id = await anyio.to_thread.run_sync(visible_element_id, element, principal, service)
-    body = await read_body(request, ReleasingPanels)
+async def release_panels(request: Request, element: str, who: Releaser, here: Here) -> ElementReleases:
+    """By one act, each panel by the job and digest that it had when it was looked at:
+    ``{"panels": {"A01": {"job": "24d8...", "digest": "9f2c..."}}, "note": "north side"}``. Panels that are
+    not proven, were changed or planned again meanwhile, or are released already, are named in ``refused``;
+    409 where that is all of them."""
+    found = await anyio.to_thread.run_sync(element_of, element, who, here)
+    given = await read_body(request, ReleasingPanels)
     return await anyio.to_thread.run_sync(
-        service.elements.release, element_id, body.panels, principal, body.name, body.note
+        here.elements.release, found, given.panels, who, given.name, given.note
     )
 
 
-@router.get("/audit", responses=refusals(422), response_model_exclude_none=True, summary="Audit log")
+@router.get("/audit", responses=refusals(422), response_model_exclude_none=True, summary="Who did what")
 def log(
-    principal: Releaser,
-    service: CurrentService,
+    who: Releaser,
+    here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
-    cursor: Annotated[int | None, Query(ge=1, lt=2**31, description="`next` of the previous page")] = None,
+    cursor: Annotated[int | None, Query(ge=1, lt=2**31, description="`next` of the page before")] = None,
     job: Annotated[
-        str | None, Query(pattern=JOB_ID.pattern, max_length=32, description="only this job")
+        str | None, Query(pattern=JOB_ID.pattern, max_length=32, description="of this job")
     ] = None,
-    act: Annotated[list[AuditAct] | None, Query(description="only these acts")] = None,
+    act: Annotated[list[Act] | None, Query(description="these acts alone")] = None,
 ) -> AuditList:
-    """Audit log of the token's team, newest first, including deleted jobs. Requires the role release."""
-    entries, next_cursor = audit.page(service.database, principal, job, tuple(act or ()), cursor, limit)
-    return AuditList(acts=entries, next=next_cursor)
+    """The audit log of the token's team, the newest first, also of jobs that were deleted. It needs the role
+    release."""
+    found, following = audit.page(here.database, who, job, tuple(act or ()), cursor, limit)
+    return AuditList(acts=found, next=following)
 
 
 @router.get(
@@ -173,6 +140,6 @@ def log(
     response_model_exclude_none=True,
     summary="The releases of a job",
 )
-def releases(job_out: OwnJob, service: CurrentService) -> ReleaseList:
-    """Newest first. Only the newest can be in force."""
-    return ReleaseList(releases=service.releases.all(job_out.id))
+def releases(found: OwnJob, here: Here) -> ReleaseList:
+    """The newest first; at most that one holds."""
+    return ReleaseList(releases=here.releases.all(found.id))

@@ -1,1 +1,1 @@
-"""Shop floor: base poses from probed points, programs on controllers, scans of formed parts."""
+"""The shop floor: base poses from probed points, programs on controllers, scans of formed parts."""

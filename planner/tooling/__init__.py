@@ -1,4 +1,4 @@
-"""Tools on flanges: a sum type of their kinds, and functions that make each of them from sizes."""
+"""Tools on flanges: a sum type of their kinds, and what makes each of them from sizes."""
 
 from typing import assert_never
 
@@ -8,21 +8,21 @@ from planner.tooling.holding_tools import (
     BOW_THROAT,
     BOW_WIRE_DIAMETER,
     GRIPPER_REACH,
-    HOLDER_REACH_M,
+    REACH,
     Bow,
     Gripper,
     PlainTool,
     WireHolder,
     bow,
     gripper_plate,
-    plain_tool,
+    plain,
     vacuum_cup,
     wire_holder,
 )
 from planner.tooling.knife import KNIFE_BODY, Blade, Knife, knife
 from planner.tooling.torch import TORCH_SIZE, Torch, TorchKind, torch
 from planner.tooling.working_tools import (
-    DISK_RIM_M,
+    DISK_RIM,
     MILL_HOLDER,
     MILL_SPINDLE,
     Cutter,
@@ -32,21 +32,19 @@ from planner.tooling.working_tools import (
     Mill,
     ball_tool,
     disk_tool,
-    head_outline,
     heat_tool,
     mill,
+    profile,
 )
 
 Tool = WireHolder | Bow | Gripper | FormingTool | Mill | Torch | Knife | PlainTool
-"""A tool on a flange: one of these kinds, each with its own properties."""
+"""A tool on a flange: one of these kinds, each with what it really has."""
 
 
 def working_solid(tool: Tool) -> Shape | None:
-    """Return the solid, in the flange frame, with which a tool works the stock.
-
-    None for tools without a rigid one. It is the wire of a bow, the head of a forming tool, a mill's cutter,
-    a torch with its nozzle, or a knife's blade. It alone may touch the stock, in segments that work it.
-    """
+    """The solid, in the flange frame, with which a tool works the stock: the wire of a bow, the head of a
+    forming tool, a mill's cutter, a torch with its nozzle, a knife's blade; it alone may touch the stock, in
+    segments that work it. None for tools that work with nothing rigid of their own."""
     match tool:
         case Bow():
             return tool.wire
@@ -62,12 +60,12 @@ __all__ = [
     "BOW_SPAN",
     "BOW_THROAT",
     "BOW_WIRE_DIAMETER",
-    "DISK_RIM_M",
+    "DISK_RIM",
     "GRIPPER_REACH",
-    "HOLDER_REACH_M",
     "KNIFE_BODY",
     "MILL_HOLDER",
     "MILL_SPINDLE",
+    "REACH",
     "TORCH_SIZE",
     "Blade",
     "Bow",
@@ -87,11 +85,11 @@ __all__ = [
     "bow",
     "disk_tool",
     "gripper_plate",
-    "head_outline",
     "heat_tool",
     "knife",
     "mill",
-    "plain_tool",
+    "plain",
+    "profile",
     "torch",
     "vacuum_cup",
     "wire_holder",

@@ -1,4 +1,4 @@
-"""A worker for tests that starts at once: jobs fail as their names say, and nothing is planned."""
+"""A worker for tests, which starts at once: jobs go wrong as their names say, and nothing is planned."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from planner.batch import worker
-from planner.batch.job import JobResult, Reports
+from planner.batch.job import Done, Reports
 from planner.issues import Issue
 
 KEPT: list[Any] = []
@@ -29,8 +29,8 @@ def faulty(
     on_progress: Any,
     on_issues: Any,
     reports: Reports,
-) -> JobResult:
-    """What `planner.batch.solve.solve_job` would do, or the fault that the name asks for."""
+) -> Done:
+    """What `planner.batch.solve.solve` would do, or the fault that the name asks for."""
     kind = re.split("[-_]", name)[0]
     on_progress("fault", 0.5)
     result.mkdir()
@@ -57,12 +57,12 @@ def faulty(
 
         solve.pipeline.load = _wrong  # type: ignore[assignment]
         (result / "half").unlink()
-        return solve.solve_job(name, source, result, origins, on_progress, on_issues, reports)
+        return solve.solve(name, source, result, origins, on_progress, on_issues, reports)
     (result / "half").unlink()
     written = "report.html" if reports == "all" else "plan.json"
     (result / written).write_text(f"{name} {os.getpid()}")
     on_issues([Issue("mesh.unit", f"{source / 'problem.yaml'}: a note")])
-    return JobResult(name, "verified", (), {"targets": 3.0}, 0.5)
+    return Done(name, "verified", (), {"targets": 3.0}, 0.5)
 
 
 def _wrong(path: Path) -> None:

@@ -1,8 +1,8 @@
-"""Stand-ins for the few names of Rhino 8 and Grasshopper that the components use, to test them without Rhino.
+"""The few names of Rhino 8 and Grasshopper that the components use, to try them without Rhino.
 
-They behave as the documentation of RhinoCommon and Grasshopper says, and do nothing else. They refuse access
-from any thread except the canvas's, which is the one that imports this file. Standard library only,
-Python 3.9.
+They do what RhinoCommon's and Grasshopper's documentation says of them, and nothing else, and refuse to be
+touched by any other thread than the canvas's, which is the one that imports this file. Standard library
+alone, Python 3.9.
 """
 
 import enum
@@ -19,8 +19,8 @@ CANVAS = threading.get_ident()
 COMPONENTS = Path(__file__).parents[2] / "integrations" / "grasshopper"
 
 
-def require_canvas_thread():
-    """Raise an error if the caller is not in the thread of the canvas."""
+def here():
+    """Raise where another thread than the canvas's asks."""
     if threading.get_ident() != CANVAS:
         raise RuntimeError("Rhino was touched by another thread")
 
@@ -36,7 +36,7 @@ class UnitSystem(enum.Enum):
 
 class Point3d:
     def __init__(self, x, y, z):
-        require_canvas_thread()
+        here()
         self.X, self.Y, self.Z = float(x), float(y), float(z)
 
     def __iter__(self):
@@ -49,7 +49,7 @@ class Vector3d(Point3d):
 
 class Plane:
     def __init__(self, origin, x, y):
-        require_canvas_thread()
+        here()
         self.Origin, self.XAxis, self.YAxis = origin, x, y
 
 
@@ -58,11 +58,11 @@ class Vertices:
         self.points = []
 
     def Add(self, x, y, z):
-        require_canvas_thread()
+        here()
         self.points.append(Point3d(x, y, z))
 
     def ToPoint3dArray(self):
-        require_canvas_thread()
+        here()
         return tuple(self.points)
 
 
@@ -71,20 +71,20 @@ class Faces:
         self.rows = []
 
     def AddFace(self, a, b, c):
-        require_canvas_thread()
+        here()
         self.rows.append((a, b, c))
 
     def ToIntArray(self, as_triangles):
-        require_canvas_thread()
+        here()
         assert as_triangles is True
-        return tuple(item for row in self.rows for item in row)
+        return tuple(one for row in self.rows for one in row)
 
 
 class Mesh:
     def __init__(self):
-        require_canvas_thread()
+        here()
         self.Vertices, self.Faces = Vertices(), Faces()
-        self.Normals = types.SimpleNamespace(ComputeNormals=require_canvas_thread)
+        self.Normals = types.SimpleNamespace(ComputeNormals=here)
 
 
 class Polyline(list):
@@ -96,19 +96,19 @@ class PolylineCurve:
         self.points = points
 
     def ToPolyline(self):
-        require_canvas_thread()
+        here()
         return Polyline(self.points)
 
 
 class ArcCurve:
-    """A quarter of a circle about the z axis, approximated by a polyline within a tolerance."""
+    """A quarter of a circle about the z axis, which a polyline stands for within a tolerance."""
 
     def __init__(self, radius, z):
         self.radius, self.z = radius, z
 
-    def ToPolyline(self, tolerance, angle, min_length, max_length):
-        require_canvas_thread()
-        assert (angle, min_length, max_length) == (0.0, 0.0, 0.0)
+    def ToPolyline(self, tolerance, angle, least, most):
+        here()
+        assert (angle, least, most) == (0.0, 0.0, 0.0)
         pieces = math.ceil(math.pi / 4 / math.acos(1 - tolerance / self.radius))
         turns = [math.pi / 2 * k / pieces for k in range(pieces + 1)]
         return PolylineCurve(
@@ -129,11 +129,11 @@ class DataTree:
         return cls
 
     def __init__(self):
-        require_canvas_thread()
+        here()
         self.branches = {}
 
     def Add(self, value, path):
-        require_canvas_thread()
+        here()
         self.branches.setdefault(path.branch, []).append(value)
 
 
@@ -143,20 +143,20 @@ class ScheduleDelegate:
 
 
 class Document:
-    """Records the components that are to be solved again."""
+    """What is to be solved again."""
 
     def __init__(self):
         self.scheduled = []
 
     def ScheduleSolution(self, milliseconds, delegate):
-        require_canvas_thread()
+        here()
         assert isinstance(milliseconds, int)
         assert isinstance(delegate, ScheduleDelegate)
         self.scheduled.append((milliseconds, delegate))
 
 
 class Component:
-    """A script component with its file. ``solve`` does what the canvas does."""
+    """A script component with its file; ``solve`` is what the canvas does."""
 
     def __init__(self, name, document):
         self.file, self.document = COMPONENTS / f"{name}.py", document
@@ -165,36 +165,36 @@ class Component:
         self.longest_s = 0.0
 
     def OnPingDocument(self):
-        require_canvas_thread()
+        here()
         return self.document
 
     def ExpireSolution(self, recompute):
-        require_canvas_thread()
+        here()
         assert recompute is False, "only from the callback of a scheduled solution"
         self.expired = True
 
     def AddRuntimeMessage(self, level, text):
-        require_canvas_thread()
+        here()
         self.told.append((level, text))
 
     def solve(self, **inputs):
-        """Return the script's outputs by name."""
+        """What the script's outputs are, by name."""
         self.told, self.expired = [], False
         began = time.perf_counter()
-        result = runpy.run_path(
+        found = runpy.run_path(
             str(self.file), {"ghenv": types.SimpleNamespace(Component=self), **inputs}, "__main__"
         )
         self.longest_s = max(self.longest_s, time.perf_counter() - began)
-        return result
+        return found
 
     def settle(self, timeout_s=120.0, **inputs):
-        """Return the outputs when the document schedules no further solution."""
+        """Outputs when the document asks for no further solution."""
         until = time.monotonic() + timeout_s
         while True:
             self.document.scheduled.clear()
-            result = self.solve(**inputs)
+            found = self.solve(**inputs)
             if not self.document.scheduled:
-                return result
+                return found
             if time.monotonic() > until:
                 raise TimeoutError(self.Message)
             ((milliseconds, delegate),) = self.document.scheduled
@@ -218,8 +218,8 @@ def install(unit=UnitSystem.Millimeters):
     rhino.Geometry = types.SimpleNamespace(Point3d=Point3d, Vector3d=Vector3d, Plane=Plane, Mesh=Mesh)
     grasshopper.Kernel, grasshopper.DataTree = kernel, DataTree
     context.sticky = {}
-    for item in (rhino, grasshopper, context):
-        sys.modules[item.__name__] = item
+    for one in (rhino, grasshopper, context):
+        sys.modules[one.__name__] = one
     for folder in (COMPONENTS, COMPONENTS.parents[1] / "client"):
         if str(folder) not in sys.path:
             sys.path.insert(0, str(folder))

@@ -1,7 +1,5 @@
-"""Program files as bytes: effects of encodings, line ends and odd characters on the proof.
-
-Harmless rewrites by a controller pass.
-"""
+"""Program files as bytes: what encodings, ends of lines and odd characters do to the proof; and harmless ways
+in which a controller writes a program again."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ def programs():
 
 
 def refused(texts, krl=False):
-    """Return whether a rule of the text refuses programs, with a line."""
+    """Whether a rule of the text refuses programs, with a line."""
     proof = prover("krl" if krl else "straight").prove(texts, last="verify.decimals")
     found = [issue for issue in proof.issues if issue.severity is Severity.ERROR]
     return bool(found) and all(issue.line or not issue.file for issue in found)
@@ -49,12 +47,12 @@ def modules(change):
     return {file: change(text) if file.endswith(".mod") else text for file, text in programs().items()}
 
 
-def short(match):
-    return repr(float(match.group()))
+def short(found):
+    return repr(float(found.group()))
 
 
-def exponent(match):
-    return f"{float(match.group()):.9E}"
+def exponent(found):
+    return f"{float(found.group()):.9E}"
 
 
 POINT = r"(?<![\w.])-?\d+\.\d+(?![\w.])"
@@ -97,8 +95,8 @@ def test_what_is_rewritten_without_harm_is_proven(kind):
     proof = prover("straight").prove(texts)
     assert [str(i) for i in proof.issues if i.severity is Severity.ERROR] == []
     assert proof.ok
-    messages = {i.message for i in proof.issues}
-    assert bool(messages) == (kind in ("a byte order mark", "lines of an old Mac"))
+    told = {i.message for i in proof.issues}
+    assert bool(told) == (kind in ("a byte order mark", "lines of an old Mac"))
 
 
 ENDS = (
@@ -199,7 +197,7 @@ def test_what_a_kuka_controller_rewrites_is_proven(kind):
 
 def test_numbers_are_those_that_a_controller_holds():
     """0.1 is no number in binary; of 123.4567 single precision keeps seven digits or so."""
-    found = job.read_job(small_job.problem(), small_job.programs(COUNT))
+    found = job.read(small_job.problem(), small_job.programs(COUNT))
     moves = [step for task in found.tasks for step in task.steps if isinstance(step, MoveStep)]
     for move in moves:
         if not move.by_joints:

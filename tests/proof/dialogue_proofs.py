@@ -1,4 +1,4 @@
-"""Jobs with a proven dialogue: problems, claims, programs, and issues of the rules up to the dialogue's."""
+"""Jobs whose dialogue is proven: problems, claims, programs, and what the rules up to the dialogue's say."""
 
 from __future__ import annotations
 

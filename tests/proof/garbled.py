@@ -1,8 +1,5 @@
-"""Program texts that no writer produces. Seeded.
-
-Tokens of real programs are swapped, dropped, repeated, spliced and cut. Numbers and lines have absurd sizes,
-nesting is deep, and bytes are odd.
-"""
+"""Program texts as no writer makes them: tokens of real programs swapped, dropped, repeated, spliced and cut,
+numbers and lines of absurd size, deep nesting, odd bytes. Seeded."""
 
 from __future__ import annotations
 
@@ -160,7 +157,7 @@ def _repeat(rng, text, texts, krl):
 
 
 def _other(rng, text, texts, krl):
-    """Insert a token of another place or file."""
+    """A token of another place or file."""
     a, b = _pick(rng, _tokens(rng, text))
     source = texts[_pick(rng, sorted(texts))]
     c, d = _pick(rng, _tokens(rng, source))

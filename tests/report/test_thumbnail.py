@@ -1,4 +1,4 @@
-"""Thumbnails of cells, extracted from saved reports."""
+"""Small pictures of cells, out of saved reports."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""A real PostgreSQL server for tests, in its own folder.
-
-Tests are skipped with the reason if none is installed.
-"""
+"""A real PostgreSQL for tests, in a folder of its own; where none is installed, tests are skipped with the
+reason."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ _NUMBERS = itertools.count()
 
 
 def fresh(folder: Path) -> str:
-    """Return the URL of a new database; skip the test if there is no PostgreSQL."""
+    """The URL of a new database; skips the test where there is no PostgreSQL."""
     del folder
     url = _server()
     if url is None:
@@ -38,9 +36,9 @@ def fresh(folder: Path) -> str:
 
 
 def _programs() -> Path | None:
-    result = shutil.which("initdb")
-    if result:
-        return Path(result).resolve().parent
+    found = shutil.which("initdb")
+    if found:
+        return Path(found).resolve().parent
     homes = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), key=lambda p: int(p.parts[-3]))
     return homes[-1].parent if homes else None
 

@@ -1,1 +1,1 @@
-"""Path search over sampled freedoms: reach, layered graph, collisions, roadmap."""
+"""Paths over sampled freedoms: reach, ladder, collisions, roadmap."""

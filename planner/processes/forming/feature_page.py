@@ -7,12 +7,7 @@ from planner.processes.forming.plan.features.tree import FeatureTree, plan_drawi
 
 
 def drawing_page(tree: FeatureTree, title: str) -> str:
-    """Return one self-contained HTML file with both drawings and a table.
-
-    Args:
-        tree: Features of the part.
-        title: Title of the page.
-    """
+    """One HTML file with both drawings and a table; it needs nothing else."""
     from planner.report.markup import CSS
 
     rows = "".join(

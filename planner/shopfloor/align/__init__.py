@@ -1,1 +1,1 @@
-"""Alignment of the second robot of a cell, from points that both robots probed."""
+"""Where the second robot of a cell stands, from points that both robots probed."""

@@ -1,7 +1,5 @@
-"""Two controllers, one or both with KRL: their handshakes are proven.
-
-Every fault in every statement of the protocol is caught.
-"""
+"""Two controllers of which one or both speak KRL: their handshakes are proven, and every fault in every
+statement of the protocol is caught."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ GUARD = 11
 @functools.cache
 def job(models, kind, every):
     plan, problem = krl_job.two(models, kind, every)
-    return dataclasses.replace(problem, accept=("stock.hangs",)), write.program_files(plan, problem)
+    return dataclasses.replace(problem, accept=("stock.hangs",)), write.programs(plan, problem)
 
 
 def context(models, kind, every, programs=None):
@@ -41,10 +39,10 @@ def context(models, kind, every, programs=None):
 def broken(models, kind, every, programs):
     """Whether the text, the handshake or the counts of moves are at fault."""
     found = context(models, kind, every, programs)
-    if not found.is_readable:
+    if not found.readable:
         return True
     issues = handshake.handshake(found).issues
-    if found.is_replayable:
+    if found.playable:
         issues += (
             *synchronisation.move_count(found).issues,
             *synchronisation.stop_before_logic(found).issues,
@@ -67,12 +65,12 @@ def test_two_krl_programs_meet_as_often_as_the_mixed_pair(kind, every):
     assert handshake.handshake(ours).issues == ()
     where = [handshake.handshake(found).where.split(",")[0] for found in (ours, mixed)]
     assert where[0] == where[1] and "meetings" in where[0]
-    readings = ours.job.automata_by_arm
+    readings = ours.job.readings
     for arm in ("left", "right"):
         # a question stops a KRL program, and a box no RAPID one; gates count places
         a, b = (
             [(x.kind, x.wire, x.value) for x in found[arm].actions if x.kind not in ("pause", "gate")]
-            for found in (readings, mixed.job.automata_by_arm)
+            for found in (readings, mixed.job.readings)
         )
         assert a == b
 
@@ -167,4 +165,4 @@ def test_the_older_dialect_meets_too():
 
 def job_of(dialect):
     plan, problem = krl_job.two(KUKAS, dialect=dialect)
-    return problem, write.program_files(plan, problem)
+    return problem, write.programs(plan, problem)

@@ -1,4 +1,4 @@
-"""Helpers that read the text of programs: modules, moves, and statements in execution order."""
+"""What a person finds in the text of programs: modules, moves, and statements in the order they run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOVE = re.compile(
 
 def programs(plan, problem, margins=None):
     """Texts as they are written, RAPID's with bare line feeds."""
-    return bare(write.program_files(plan, problem, margins))
+    return bare(write.programs(plan, problem, margins))
 
 
 def modules(files, task, kind=""):

@@ -1,4 +1,4 @@
-"""Data that another process receives to measure distances of a long motion."""
+"""What another process is sent of a long motion, to measure distances in it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import pickle
 
 import numpy as np
 
-from planner.proof.rules.clearance import ClearanceQueries
+from planner.proof.rules.clearance import Looks
 
 
 def test_another_process_gets_the_joints_that_are_looked_at_alone() -> None:
     joints = np.random.default_rng(5).uniform(-1.0, 1.0, (1000, 6))
-    looks = ClearanceQueries(1, np.array([3, 40, 999]), frozenset(), {"left": joints}, itself=True)
+    looks = Looks(1, np.array([3, 40, 999]), frozenset(), {"left": joints}, itself=True)
     content = pickle.dumps(looks)
     sent = pickle.loads(content)
     assert len(content) < joints.nbytes / 10

@@ -1,4 +1,4 @@
-"""Equivalent rewrites of messages and questions are proven too."""
+"""What programs tell and ask is proven, too, where the same is written in other ways."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Every rule passes the clean programs, and each kind of text fault is caught by its rule."""
+"""Every rule passes the clean programs, and each kind of fault in the text is caught by the rule that is
+named for it.
+"""
 
 from __future__ import annotations
 

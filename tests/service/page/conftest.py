@@ -1,7 +1,4 @@
-"""A real browser for the page tests: the distribution's Chromium, driven by Playwright.
-
-It renders in software.
-"""
+"""A real browser: the distribution's Chromium, driven by Playwright, drawing in software."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
-"""``python -m tests.service.page.held PORT DATA``: the service with a fake team that holds jobs.
-
-Every job stays at the stage ``motion`` until the file ``go`` exists in the data folder.
-"""
+"""``python -m tests.service.page.held PORT DATA``: the service with a team that holds every job at the stage
+``motion`` until there is a file ``go`` in the data folder."""
 
 from __future__ import annotations
 
@@ -9,18 +7,18 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from planner.batch.job import JobEvent
+from planner.batch.job import Event
 from planner.service import app
 from planner.service.service import Options
-from tests.service.support import FakeTeam
+from tests.service.support import Team
 
 DATA = Path(sys.argv[2])
 
 
-class HeldTeam(FakeTeam):
+class Held(Team):
     """Waits for the file."""
 
-    def events(self, timeout_s: float) -> Iterator[JobEvent]:
+    def events(self, timeout_s: float) -> Iterator[Event]:
         if (DATA / "go").exists():
             self.hold.clear()
         else:
@@ -29,5 +27,5 @@ class HeldTeam(FakeTeam):
 
 
 if __name__ == "__main__":
-    app.worker_pool_factory = lambda options: HeldTeam  # type: ignore[assignment]
+    app.make_team = lambda options: Held  # type: ignore[assignment]
     app.serve(Options(DATA, port=int(sys.argv[1]), examiners=1))

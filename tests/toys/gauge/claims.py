@@ -1,4 +1,4 @@
-"""Claims of the gauge process."""
+"""What must hold of a gauge."""
 
 from __future__ import annotations
 

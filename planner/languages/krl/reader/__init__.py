@@ -1,1 +1,1 @@
-"""Strict reader of KRL programs, from text to the steps of a task."""
+"""Reads KRL programs strictly: from text to the steps of a task."""

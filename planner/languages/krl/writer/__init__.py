@@ -1,1 +1,1 @@
-"""Writer of KRL programs and of the controller files for KUKA controllers."""
+"""KRL for KUKA controllers."""

@@ -1,1 +1,1 @@
-"""Strict reader of RAPID, from text to the main flow of a task."""
+"""RAPID read strictly: from text to the straight way of a task."""

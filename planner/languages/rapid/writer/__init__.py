@@ -1,1 +1,1 @@
-"""Writer of RAPID programs and of the configuration of ABB controllers."""
+"""Writes RAPID programs and the configuration of ABB controllers."""

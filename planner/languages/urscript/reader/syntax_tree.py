@@ -1,16 +1,16 @@
-"""Syntax tree of URScript: statements and data, each with its line, in the language's units: m, s, rad."""
+"""URScript as read: statements and data, each with its line, in the language's units: m, s, rad."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-SixNumbers = tuple[float, float, float, float, float, float]
+Six = tuple[float, float, float, float, float, float]
 """A pose (position [m], rotation vector [rad]) or joints [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """A statement. `line` counts from 1."""
+    """`line` counts from 1."""
 
     line: int
 
@@ -31,15 +31,15 @@ class SetPayload(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class SetOutput(Statement):
-    """A digital output is switched, by its number, 8 and more for configurable ones."""
+class Output(Statement):
+    """A digital output by its number, 8 and more for configurable ones, is switched."""
 
     number: int
     value: bool
 
 
 @dataclass(frozen=True, slots=True)
-class SleepStatement(Statement):
+class Pause(Statement):
     """sleep [s]."""
 
     seconds: float
@@ -47,38 +47,26 @@ class SleepStatement(Statement):
 
 @dataclass(frozen=True, slots=True)
 class Popup(Statement):
-    """A popup.
-
-    Attributes:
-        kind: A question, a text to be read before one, or a text that is shown meanwhile.
-        text: Its text.
-    """
+    """A popup: `kind` a question, a text to be read before one, or one that is shown meanwhile."""
 
     kind: Literal["question", "read", "note"]
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class PoseCheck(Statement):
-    """The program ends unless a point of the flange is where it is expected.
-
-    Attributes:
-        name: Joints at which it is checked.
-        tip: Point of the flange.
-        position: Expected position in the controller's base.
-        tolerance: Tolerance [m].
-        text: Text that is shown before the program ends.
-    """
+class Look(Statement):
+    """The program ends unless the point `tip` of the flange is at `place` in the controller's base within
+    `most` [m] at the joints `name`; `text` is shown then."""
 
     name: str
-    tip: SixNumbers
-    position: SixNumbers
-    tolerance: float
+    tip: Six
+    place: Six
+    most: float
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class ScriptJointMove(Statement):
+class Joint(Statement):
     """movej to the joints `name`; `acceleration` [rad/s^2] and `speed` [rad/s] of the leading axis."""
 
     name: str
@@ -87,43 +75,29 @@ class ScriptJointMove(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class ScriptLinearMove(Statement):
-    """movel.
-
-    Attributes:
-        frame: Frame of the target.
-        target: Target.
-        seconds: Time [s].
-        radius: Blend radius [m], 0 for an exact stop.
-    """
+class Straight(Statement):
+    """movel to `place` in the frame `frame`, in `seconds`, with the blend radius `radius` [m], 0 for an exact
+    stop."""
 
     frame: str
-    target: SixNumbers
+    place: Six
     seconds: float
     radius: float
 
 
 @dataclass(frozen=True, slots=True)
-class OutputLowCheck(Statement):
-    """The program ends if an output is on.
-
-    Attributes:
-        number: The output.
-        switched_off: Outputs that are switched off before.
-        text: Text that is shown before.
-    """
+class StaysLow(Statement):
+    """The program ends when the output `number` is on: it switches the outputs `off` and shows `text`
+    before."""
 
     number: int
-    switched_off: tuple[int, ...]
+    off: tuple[int, ...]
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class AwaitSignal(Statement):
-    """A call of the function `name`.
-
-    It waits until its input has the level `value`, for at most `seconds`.
-    """
+class Await(Statement):
+    """A call of the function `name`, which waits until its input has the level `value`, `seconds` at most."""
 
     value: bool
     seconds: float
@@ -131,62 +105,50 @@ class AwaitSignal(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class DwellMove(Statement):
-    """A call of the function that replaces a move of zero length, in `seconds`."""
+class Stand(Statement):
+    """A call of the function that is a move of no way, in `seconds`."""
 
     seconds: float
 
 
 @dataclass(frozen=True, slots=True)
-class WatchdogThread(Statement):
-    """The thread that watches the other program starts, or is killed."""
+class Watch(Statement):
+    """The thread that watches the other program begins, or is killed."""
 
     on: bool
 
 
 @dataclass(frozen=True, slots=True)
-class PartnerCheck(Statement):
-    """A call of the function that ends the program on an unexpected state of the other program.
-
-    It ends the program unless the other program runs and signals are as expected.
-
-    Attributes:
-        value: Expected level of the other one's line.
-        running: Expected level of this program's running wire.
-    """
+class Check(Statement):
+    """A call of the function that ends the program unless the other one's line is `value`, that one runs, and
+    the own running wire is `own`."""
 
     value: bool
-    running: bool
+    own: bool
 
 
 @dataclass(frozen=True, slots=True)
-class EndingFunction(Statement):
-    """A function or thread that ends the program because of inputs or of its running wire.
-
-    Attributes:
-        numbers: Inputs that it reads.
-        running: Output that it reads back.
-        switched_off: Outputs that are switched off before.
-        text: Text that is shown before.
-    """
+class Ending(Statement):
+    """A function or thread that ends the program over the inputs `numbers`, or where the output `own` is not
+    as it should be: it switches the outputs `off` and shows `text` before."""
 
     numbers: tuple[int, ...]
-    running: int
-    switched_off: tuple[int, ...]
+    own: int
+    off: tuple[int, ...]
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class AwaitArc(Statement):
-    """A call of the function `name`, which waits until a torch burns, for at most `seconds`."""
+    """A call of the function `name`, which waits until a torch burns, `seconds` at most."""
 
     seconds: float
     name: str
 
 
 @dataclass(frozen=True, slots=True)
-class ArcWatchdog(Statement):
-    """The thread `name`, which monitors a burning torch, starts or is killed."""
+class GuardArc(Statement):
+    """The thread `name`, which watches a torch that burns, begins or is killed."""
 
     name: str
     on: bool
@@ -194,37 +156,28 @@ class ArcWatchdog(Statement):
 
 @dataclass(frozen=True, slots=True)
 class ArcFunction(Statement):
-    """The function that waits for a torch to burn, or the thread that monitors it.
-
-    It ends the program if the input does not show in time that the torch burns, or no longer shows it, if
-    the output is off, or if the torch stands.
-
-    Attributes:
-        given: Input of the torch, None for a thread without one.
-        torch_output: Output of the torch, None for the function.
-        switched_off: Outputs that are switched off before the end.
-        text: Text that is shown before the end.
-        max_standing_time: Time [s] for which the torch may stand.
-        min_travel: Distance [m] that it has to move in that time.
-    """
+    """The function that waits for a torch to burn, or the thread that watches it: it switches the outputs
+    `off`, shows `text` and ends the program where the input `given` does not say in time that it burns, or
+    not any more, where the output `own` (None of the function) is off, or where the torch stands for more
+    than `stood` [s], no farther than `far` [m] from a place. `given` is None of a thread without an input."""
 
     given: int | None
-    torch_output: int | None
-    switched_off: tuple[int, ...]
+    own: int | None
+    off: tuple[int, ...]
     text: str
-    max_standing_time: float = 0.0
-    min_travel: float = 0.0
+    stood: float = 0.0
+    far: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class SegmentComment(Statement):
-    """A comment with the label of the segment that starts."""
+class Begins(Statement):
+    """A comment that says which segment begins: its label."""
 
     label: str
 
 
 @dataclass(frozen=True, slots=True)
-class ScriptVariable:
+class Data:
     """A variable: `kind` pose, joints or text."""
 
     line: int
@@ -233,60 +186,51 @@ class ScriptVariable:
 
 
 @dataclass(frozen=True, slots=True)
-class ScriptProgram:
-    """A file.
-
-    Attributes:
-        file: Name of the file.
-        name: Name of the program.
-        data: Its data by name.
-        body: Its statements after the data.
-        endings: Functions and thread of a program that meets another one, by name, else empty.
-        torches: Functions and threads of torches, by name.
-    """
+class Program:
+    """A file: the `name` as in def, its data by name, and its statements behind them. `endings`: the
+    functions and the thread of a program that meets another one, by name; else empty. `torches`: functions
+    and threads of torches."""
 
     file: str
     name: str
-    data: Mapping[str, ScriptVariable]
+    data: Mapping[str, Data]
     body: tuple[Statement, ...]
-    endings: Mapping[str, EndingFunction] = field(default_factory=dict)
+    endings: Mapping[str, Ending] = field(default_factory=dict)
     torches: Mapping[str, ArcFunction] = field(default_factory=dict)
 
     @property
     def moves(self) -> int:
-        """Number of straight moves."""
-        return sum(isinstance(statement, ScriptLinearMove) for statement in self.body)
+        """How many straight moves there are."""
+        return sum(isinstance(statement, Straight) for statement in self.body)
 
 
 NAME_LENGTH: Final = 32
-"""Maximum length [characters] of a name."""
+"""Longest name [characters]."""
 LINE_LENGTH: Final = 400
-"""Maximum length [characters] of a line that is read."""
+"""Longest line that is read [characters]."""
 TEXT_LENGTH: Final = 255
-"""Maximum length [characters] of a popup's text."""
+"""Longest text of a popup [characters]."""
 CHECK_POINT: Final = (0.1, 0.2, 0.3)
-"""Point of the flange [m] that programs check.
-It is off all axes, so that its position reveals a rotated base or flange.
-"""
-MAX_CHECK_TOLERANCE_M: Final = 0.01
-"""Maximum tolerance [m] for the controller's flange, because arms are calibrated individually."""
+"""The point of the flange [m] that programs look at: off all axes, so that its place tells base and flange
+turned."""
+LOOK_ERROR: Final = 0.01
+"""How far [m] a program may let the controller's flange be off at most: arms are calibrated one by one."""
 
 AWAIT_LINE, AWAIT_RUNNING = "await_line", "await_running"
-"""Functions that wait for the other controller's line, and for its running wire."""
+"""The functions that wait for the other controller's line, and for its running wire."""
 CHECK = "check_partner"
-"""Function that checks both at one instant."""
+"""The function that looks at both at one instant."""
 STAND = "stand"
-"""Function that waits in place of a move."""
+"""The function that waits in place of a move."""
 WATCH, WATCHING = "watch_partner", "watching"
-"""Thread that watches that wire, and the variable that holds it."""
+"""The thread that watches that wire, and the variable that holds it."""
 AWAIT_ARC, WATCH_ARC, WATCHING_ARC = "await_arc", "watch_arc", "watching_arc"
-"""Function that waits for a torch to burn, thread that monitors it, and variable that holds the thread.
-Those of further torches have a number appended.
-"""
+"""The function that waits for a torch to burn, the thread that watches it, and what holds that; of further
+torches with a number behind."""
 ARC_FUNCTION: Final = rf"({AWAIT_ARC}|{WATCH_ARC})(?:_\d+)?"
-"""Pattern of the names of these functions and threads."""
+"""Names of these functions and threads,"""
 ARC_VARIABLE: Final = rf"{WATCHING_ARC}(?:_\d+)?"
-"""Pattern of the names of these variables."""
+"""and of what holds them."""
 
 _RESERVED_TEXT = """
 and break continue def elif else end enter_critical exit_critical false False for global halt if in join kill

@@ -1,4 +1,1 @@
-"""Planning of the process ``milling``: a cutter on one arm cuts with its flank or its end.
-
-No robot model is needed here.
-"""
+"""The process ``milling``: a cutter on one arm cuts along its flank or with its end; it knows no robot."""

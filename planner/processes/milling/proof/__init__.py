@@ -1,1 +1,1 @@
-"""Proof of milling."""
+"""Cutters in the block, as the proof sees them."""

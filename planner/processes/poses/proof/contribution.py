@@ -1,4 +1,4 @@
-"""Contribution of supplied poses to the proof."""
+"""What given poses contribute to the proof."""
 
 from typing import Final
 

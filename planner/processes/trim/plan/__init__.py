@@ -1,1 +1,1 @@
-"""Planning of the process ``trim``: a torch, knife or mill cuts curves out of a formed sheet."""
+"""The process ``trim``: a torch, knife or mill cuts curves out of a formed sheet."""

@@ -1,1 +1,1 @@
-"""Proof of trimming, by the proof's own reading of part and curves."""
+"""Sheets that a torch trims, by the proof's own reading of part and curves."""

@@ -1,4 +1,4 @@
-"""RAPID texts of jobs with a bow (``straight_job``, ``held_job``) as rows and moves, read and edited."""
+"""RAPID texts of jobs with a bow (``straight_job``, ``held_job``) as rows and moves, read and changed."""
 
 from __future__ import annotations
 
@@ -78,10 +78,8 @@ def placed(texts: Texts, task: int, i: int, position, rotation) -> Texts:
 
 
 def tilted(texts: Texts, rows: list[int], angle: float, about: float = 0.0) -> Texts:
-    """Rotate the wire across the face, about its direction of motion, by ``angle`` [rad].
-
-    The centre of rotation is the point of the wire at ``about`` [mm] from its middle.
-    """
+    """The wire turned across the face (about its own way) by ``angle`` [rad], about a point of the wire at
+    ``about`` [mm] from its middle."""
     for k, i in enumerate(rows):
         position, rotation = pose_of(texts, 1, i)
         other, _ = pose_of(texts, 1, rows[k + 1] if k + 1 < len(rows) else rows[k - 1])
@@ -95,7 +93,7 @@ def tilted(texts: Texts, rows: list[int], angle: float, about: float = 0.0) -> T
 
 
 def outwards(texts: Texts, rows: list[int], by: float) -> Texts:
-    """Move the wire off the face by ``by`` [mm], across itself and its direction of motion."""
+    """The wire moved off the face by ``by`` [mm], across itself and its way."""
     for k, i in enumerate(rows):
         position, rotation = pose_of(texts, 1, i)
         other, _ = pose_of(texts, 1, rows[k + 1] if k + 1 < len(rows) else rows[k - 1])

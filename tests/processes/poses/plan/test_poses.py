@@ -1,4 +1,4 @@
-"""The generic input: poses from CSV and JSON, and every fault of such a file."""
+"""The general door: poses from CSV and JSON, and every way such a file can be wrong."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Positions of the second tool while the first one forms."""
+"""Where the second tool is while the first one forms."""

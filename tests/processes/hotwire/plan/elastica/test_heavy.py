@@ -1,4 +1,4 @@
-"""Wires with weight, against scipy's boundary value solver, finite differences and invariants."""
+"""Wires with weight: against scipy's boundary value solver, differences and invariants."""
 
 import numpy as np
 import pytest
@@ -53,20 +53,15 @@ def test_solve_says_where_there_is_no_equilibrium(light):
     partial = heavy.solve(LENGTH, START, end, WEIGHT, light.params, strict=False)
     assert np.isnan(partial.points).any(axis=(1, 2)).tolist() == [False, False, True, False]
     assert partial.stable_in_plane.tolist() == [True, True, False, True]
-    assert partial.stable_out_of_plane(weightless.strip_section(9.0, 0.3)).tolist() == [
-        True,
-        True,
-        False,
-        True,
-    ]
+    assert partial.stable_out_of_plane(weightless.strip(9.0, 0.3)).tolist() == [True, True, False, True]
     assert np.isinf(heavy.end_sensitivity(partial).position).tolist() == [False, False, True, False]
-    sag, _ = heavy.sag_out_of_plane(partial, np.full(4, 2.0), weightless.strip_section(9.0, 0.3))
+    sag, _ = heavy.sag_out_of_plane(partial, np.full(4, 2.0), weightless.strip(9.0, 0.3))
     assert np.isinf(sag).tolist() == [False, False, True, False]
 
 
 def test_weightless_margins_agree_with_the_closed_forms_shape(light):
     plain = heavy.integrate(light.params, LENGTH, np.zeros((4, 2)))
-    section = weightless.strip_section(5.0, 0.3)
+    section = weightless.strip(5.0, 0.3)
     np.testing.assert_allclose(plain.margin_in_plane, light.margin_in_plane, atol=1e-8)
     np.testing.assert_allclose(
         plain.margin_out_of_plane(section), light.margin_out_of_plane(section), atol=1e-8
@@ -115,7 +110,7 @@ def test_margin_in_plane_is_the_second_difference_of_the_energy(shapes):
 
 def test_sliding_keeps_the_curve(shapes):
     slides = np.tile([-0.06, 0.0, 0.06], (4, 1))
-    start, end = heavy.slide_ends(shapes, slides)
+    start, end = heavy.extend(shapes, slides)
     np.testing.assert_allclose(start[:, 1], START, atol=1e-9)
     np.testing.assert_allclose(end[:, 1], END, atol=1e-9)
     moved = heavy.slide(shapes, np.full(4, 0.06))
