@@ -2,7 +2,7 @@
 
 | file | content |
 |---|---|
-| ``digests.json`` | SHA-256 of all files of the result folder of each bundled problem, and of its issues |
+| ``digests.json`` | SHA-256 of all results of each bundled problem and its issues, also without words |
 | ``rule_codes.txt`` | codes of the proof rules, in the order in which they run |
 | ``startup_imports.py`` | modules that start-up imports |
 

@@ -84,12 +84,17 @@ def test_another_environment_is_named_with_both_versions() -> None:
         ("a.src", "PTP home ; old", "PTP start ; 3 new", True),
         ("a.nc", "(old 3)\nG1 X2", "(new 4)\nG1 X2", True),
         ("a.nc", "G1 X2", "G1 X3", False),
+        ("a.nc", "(old) G1 X2 (end 3)", "(new) G1 X2 (end 4)", True),
+        ("a.nc", "(old) G1 X2", "(old) G1 X3", False),
         ("proof.json", '{"told": ["at 3 mm", 2.5]}', '{"stated": ["3 mm away", 2.5]}', True),
         ("proof.json", '{"told": ["at 3 mm", 2.5]}', '{"told": ["at 4 mm", 2.5]}', False),
         ("proof.json", '{"told": [[1], 2]}', '{"told": [1, [2]]}', False),
         ("proof.json", '{"sha": "00ab34cd12"}', '{"sha": "00ab34cd13"}', True),
         ("report.html", "<p>2 mm off, limit 3 mm</p>", "<p>limit 3 mm, deviation 2 mm</p>", True),
         ("report.html", "<p>2 mm</p>", "<p>2.5 mm</p>", False),
+        ("report.html", "<p>0.5mm</p>", "<p>0.7mm</p>", False),
+        ("report.html", "<p>at -2 mm</p>", "<p>at 2 mm</p>", False),
+        ("report.html", '<path d="M10.5L20"/>', '<path d="M10.5L21"/>', False),
     ],
 )
 def test_words_alone_do_not_change_a_wordless_digest(name: str, old: str, new: str, same: bool) -> None:

@@ -21,7 +21,11 @@ from pathlib import PurePath
 from typing import Any, Final
 
 HEX: Final = re.compile(r"\b(?=[0-9a-f]*[a-f])(?=[0-9a-f]*[0-9])[0-9a-f]{8,}\b")
-NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\w])")
+NUMBER: Final = re.compile(r"(?:(?<![0-9a-z])[-+])?\d+(?:\.\d+)?")
+"""A number, also beside letters: of a unit, or in the path of a drawing. Behind a digit or a small letter, a
+hyphen is no sign."""
+BRACKETED: Final = re.compile(r"\([^)]*\)")
+"""A comment of G-code."""
 COMMENTS: Final = {
     ".mod": "!",
     ".sys": "!",
@@ -37,8 +41,6 @@ COMMENTS: Final = {
 TOKEN: Final = re.compile(
     r'(?P<text>"[^"\n]*")|(?P<word>[A-Za-z_$][\w$]*)|(?P<number>\d[\w.]*)|(?P<other>\S)'
 )
-
-
 LETTERS: Final = re.compile(r"[A-Za-z_$]+")
 WORDED: Final = frozenset({*COMMENTS, ".json", ".npz", ".html", ".yaml", ".txt"})
 """Suffixes of files that contain words; NPZ files have names of arrays."""
@@ -53,7 +55,8 @@ def digest(name: str, content: bytes) -> str:
     """Return the SHA-256 of what is left of a file without its words."""
     suffix = PurePath(name).suffix
     if suffix in COMMENTS:
-        kept = _program(content.decode("utf-8"), COMMENTS[suffix])
+        text = content.decode("utf-8")
+        kept = _program(BRACKETED.sub("", text) if suffix == ".nc" else text, COMMENTS[suffix])
     elif suffix == ".json":
         kept = "\n".join(_values(json.loads(content)))
     elif suffix == ".npz":
@@ -64,7 +67,7 @@ def digest(name: str, content: bytes) -> str:
 
 
 def numbers(text: str) -> list[str]:
-    """Return the numbers of a text, without those inside names and digests."""
+    """Return the numbers of a text, without those of digests."""
     return NUMBER.findall(HEX.sub("", text))
 
 
@@ -76,8 +79,6 @@ def _program(text: str, comment: str) -> str:
             if match["other"] == comment:
                 break
             kept.append("s" if match["text"] else LETTERS.sub("w", match[0]) if match["word"] else match[0])
-        if comment == ";" and kept[:1] == ["("]:  # a comment of G-code in brackets
-            continue
         out.append(" ".join(kept))
     return "\n".join(line for line in out if line)
 
